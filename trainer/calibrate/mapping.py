@@ -25,6 +25,8 @@ import numpy.typing as npt
 
 from codec.arrays import Doubles, Flags, Longs
 
+from .bundle import Bundle, adjusted
+
 JOB_NAME, RESULT_NAME, PICTURES_NAME = "job.json", "result.npz", "pictures"
 
 SCOUT_MOMENTS = 4
@@ -37,22 +39,11 @@ LEAST_SHARED = 15
 FOCAL_GUESS = 1.2
 """Focal length over the longer side before anything is known: COLMAP's own guess."""
 
-LENSES = ("one", "like", "free")
-"""How lenses are found. one: one for all cameras of a kind. like: that at first, then one for each
-with its principal point. free: that from the start. Cameras that are alike need one of the first
-two, or rigs of few points come out wrong; those that differ need the last. Unseen moments decide.
+LENSES = ("like", "free")
+"""How lenses are found. like: one for all cameras of a kind, then one for each that is like them.
+free: one for each from the start. Cameras that are alike need the first, or rigs of few points come
+out wrong; those that differ need the other. Unseen moments decide.
 """
-
-FILTER_PX = (2.0, 1.5)
-"""Reprojection errors over which observations are dropped, adjustment by adjustment, at 640 pixels
-of width."""
-
-LEAST_OBSERVATIONS, GRID, LEAST_CELLS = {"centre": 80, "lens": 400}, 6, 0.4
-"""A camera gets a principal point, or a lens, of its own if it has so many observations, in this
-share of the cells of a grid over its picture; with fewer it keeps that of its kind."""
-
-LEAST_ANGLE_DEG = 1.5
-"""Points whose rays meet at less are dropped."""
 
 SAME_PX = 1.0
 """Side of the squares of a camera's picture of which each is one keypoint in all moments."""
@@ -264,19 +255,14 @@ class Mapper:
         focal_px = FOCAL_GUESS * max(width, height)
         return self._colmap.Camera.create_from_model_id(0, model, focal_px, width, height)
 
-    def _write(
-        self, name: str, verified: Mapping[Pair, Longs], lens: str, known: Mapping[int, Doubles]
-    ) -> None:
-        """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N.
-        lens, known: see `_mapped`."""
+    def _write(self, name: str, verified: Mapping[Pair, Longs], kinds: Sequence[int]) -> None:
+        """Writes the database NAME.db, with an image for each camera, image N + 1 of camera N."""
         colmap = self._colmap
         database = colmap.Database.open(self._folder / f"{name}.db")
         lenses: dict[int, tuple[Any, int]] = {}
-        for camera, kind in enumerate(self._job.kinds if lens == "one" else self._cameras):
+        for camera, kind in enumerate(kinds):
             if kind not in lenses:
-                guess = self._lens(camera)
-                guess.params = known.get(self._job.kinds[camera], guess.params)
-                lens_id = database.write_camera(guess)
+                lens_id = database.write_camera(self._lens(camera))
                 sensor = colmap.sensor_t(type=colmap.SensorType.CAMERA, id=lens_id)
                 rig = colmap.Rig()
                 rig.add_ref_sensor(sensor)
@@ -303,32 +289,22 @@ class Mapper:
         """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
         none where no rig was found."""
         found: Arrays = {}
-        shared: dict[int, Doubles] = {}
         for lens in LENSES:
-            known = shared if lens == "like" else {}
-            model = self._mapped(f"{name}_{lens}", verified, lens, known)
+            kinds = self._job.kinds if lens == "like" else self._cameras
+            model = self._mapped(f"{name}_{lens}", verified, kinds)
             if model is not None:
-                for refined in ("lens",) if lens == "one" else ("centre", "lens"):
-                    self._adjust(model, refined, lens != "one")
-                rig = self._arrays(model)
+                rig = self._rig(model, kinds)
                 found |= {f"{name}_{lens}_{key}": value for key, value in rig.items()}
-                for kind, params in zip(self._job.kinds, rig["lenses"], strict=True):
-                    if lens == "one" and np.isfinite(params[0]):
-                        shared[kind] = params
         return found
 
-    def _mapped(
-        self, name: str, verified: Mapping[Pair, Longs], lens: str, known: Mapping[int, Doubles]
-    ) -> Any:
-        """The largest rig; None if there is none. lens: of LENSES; known: the lens of each kind,
-        which then stays."""
+    def _mapped(self, name: str, verified: Mapping[Pair, Longs], kinds: Sequence[int]) -> Any:
+        """The largest rig with one lens for each kind; None if there is none."""
         options = self._colmap.IncrementalPipelineOptions()
         options.extract_colors = False
         options.num_threads = self._job.threads
         options.random_seed = self._job.seed
         options.min_model_size = 3
-        options.ba_refine_focal_length = options.ba_refine_extra_params = not known
-        self._write(name, verified, lens, known)
+        self._write(name, verified, kinds)
         out = self._folder / f"{name}.rig"
         out.mkdir()
         models = self._colmap.incremental_mapping(
@@ -336,55 +312,38 @@ class Mapper:
         )
         return max(models.values(), key=lambda each: each.num_reg_images(), default=None)
 
-    def _adjust(self, model: Any, refined: str, own: bool) -> None:
-        """Bundle adjustment with a robust loss, and without what lies off. refined: "centre" for
-        principal points alone, "lens" for all, or all but those where cameras have none of their
-        own."""
-        colmap = self._colmap
-        options = colmap.BundleAdjustmentOptions()
-        options.refine_principal_point = own
-        options.refine_focal_length = options.refine_extra_params = refined == "lens"
-        options.print_summary = False
-        options.ceres.loss_function_type = colmap.LossFunctionType.SOFT_L1
-        options.ceres.loss_function_scale = self._scale
-        options.ceres.solver_options.num_threads = self._job.threads
-        options.ceres.solver_options.function_tolerance = 1e-6
-        options.ceres.solver_options.max_num_iterations = 50
-        config = colmap.BundleAdjustmentConfig()
-        for image_id in model.reg_image_ids():
-            config.add_image(image_id)
-            image = model.image(image_id)
-            if own and not self._is_determined(image, LEAST_OBSERVATIONS[refined]):
-                config.set_constant_cam_intrinsics(image.camera_id)
-        config.fix_gauge(colmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-        for limit_px in FILTER_PX:
-            colmap.create_default_bundle_adjuster(options, config, model).solve()
-            colmap.ObservationManager(model).filter_all_points3D(
-                limit_px * self._scale, LEAST_ANGLE_DEG
-            )
-
-    def _is_determined(self, image: Any, least: int) -> bool:
-        """Whether an image has at least so many points, and all over it."""
-        seen = np.array([p.xy for p in image.points2D if p.has_point3D()]).reshape(-1, 2)
-        cells = np.unique((seen * GRID / self._job.sizes_px[int(image.name)]).astype(int), axis=0)
-        return len(seen) >= least and len(cells) >= LEAST_CELLS * GRID * GRID
-
-    def _arrays(self, model: Any) -> Arrays:
-        """The rig as the fields of `solution.Rig`."""
-        lenses = np.full((len(self._cameras), 4), np.nan)
-        poses = np.full((len(self._cameras), 3, 4), np.nan)
-        for image_id in model.reg_image_ids():
-            image = model.image(image_id)
-            lenses[int(image.name)] = model.camera(image.camera_id).params
-            poses[int(image.name)] = image.cam_from_world().matrix()
-        seen = [
-            (number, element.image_id - 1, element.point2D_idx)
+    def _rig(self, model: Any, kinds: Sequence[int]) -> Arrays:
+        """The rig, adjusted, as the fields of `solution.Rig`."""
+        images = sorted((model.image(i) for i in model.reg_image_ids()), key=lambda i: i.image_id)
+        cameras = [int(image.name) for image in images]
+        rows = {image.image_id: row for row, image in enumerate(images)}
+        seen = np.array([
+            (rows[element.image_id], number, element.point2D_idx)
             for number, point in enumerate(model.points3D.values())
             for element in point.track.elements
-        ]
-        points = np.array([point.xyz for point in model.points3D.values()]).reshape(-1, 3)
-        seen_by = np.array(seen, np.int64).reshape(-1, 3)
-        return {"lenses": lenses, "poses": poses, "points": points, "seen": seen_by}
+        ], np.int64).reshape(-1, 3)  # fmt: skip
+        xy_px = [self.keypoints[cameras[row]][keypoint, :2] for row, _, keypoint in seen]
+        bundle = adjusted(
+            Bundle(
+                np.array([model.camera(image.camera_id).params for image in images]),
+                np.array([image.cam_from_world().matrix() for image in images]),
+                np.array([p.xyz for p in model.points3D.values()]).reshape(-1, 3),
+                seen[:, 0],
+                seen[:, 1],
+                seen[:, 2],
+                np.array(xy_px).reshape(-1, 2),
+            ),
+            [kinds[camera] for camera in cameras],
+            [self._job.sizes_px[camera] for camera in cameras],
+            self._scale,
+        )
+        lenses = np.full((len(self._cameras), 4), np.nan)
+        poses = np.full((len(self._cameras), 3, 4), np.nan)
+        left = np.unique(bundle.cameras)
+        numbers = np.array(cameras, np.int64)
+        lenses[numbers[left]], poses[numbers[left]] = bundle.lenses[left], bundle.poses[left]
+        seen = np.column_stack([bundle.seen, numbers[bundle.cameras], bundle.keypoints])
+        return {"lenses": lenses, "poses": poses, "points": bundle.points, "seen": seen}
 
 
 def main(folder: Path) -> None:

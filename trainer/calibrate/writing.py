@@ -34,7 +34,6 @@ from .verdicts import Halves
 REPORT_NAME = "calibration.txt"
 
 LENS_TEXT = {
-    "one": "one for all cameras of a kind",
     "like": "one for each camera, like those of its kind",
     "free": "one for each camera",
 }

@@ -115,7 +115,7 @@ def solution_of(first: Doubles, second: Doubles, whole: Doubles, filmed: Doubles
     }
     lenses = np.tile([FOCAL, WIDTH / 2, HEIGHT / 2, 0.0], (len(NAMES), 1))
     rigs = {
-        (name, "one"): Rig(lenses, poses, np.concatenate(places), np.zeros((0, 3), np.int64))
+        (name, "like"): Rig(lenses, poses, np.concatenate(places), np.zeros((0, 3), np.int64))
         for name, poses in (("first", first), ("second", second), ("whole", whole))
     }
     return Solution(keypoints, np.zeros((len(NAMES), MOMENTS)), matches, rigs)
@@ -124,7 +124,7 @@ def solution_of(first: Doubles, second: Doubles, whole: Doubles, filmed: Doubles
 def test_a_right_rig_is_borne_out_by_what_it_has_not_seen() -> None:
     true = arc()
     solution = solution_of(true, true, true, np.array([true, true]))
-    errors = [np.median(each) for each in unseen_errors(solution, "one", WIDTHS)]
+    errors = [np.median(each) for each in unseen_errors(solution, "like", WIDTHS)]
     assert max(errors) < 2.0
     assert not judge(solution, NAMES, WIDTHS)[1]
 
