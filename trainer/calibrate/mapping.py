@@ -90,14 +90,17 @@ def picture_name(moment: int, camera: int) -> str:
 
 
 def pooled(keypoints: Doubles) -> tuple[Doubles, Longs, Flags]:
-    """(K, 3) the different ones of keypoints (N, 3) x, y, moment of a camera; (N,) which of them
-    each is; and (K,) whether it moves. What stands still is found in every moment and is one
-    keypoint: else each wrong match would be there many times, and copies bear each other out."""
+    """(K, 3) the different ones of keypoints (N, 3) x, y, moment of a camera, in the mean of their
+    places and the first of their moments; (N,) which of them each is; and (K,) whether it moves.
+    What stands still is found in every moment and is one keypoint: else each wrong match would be
+    there many times, and copies bear each other out."""
     _, first, numbers, count = np.unique(
         np.floor(keypoints[:, :2] / SAME_PX), axis=0,
         return_index=True, return_inverse=True, return_counts=True,
     )  # fmt: skip
-    return keypoints[first], numbers.ravel(), count <= MOST_SEEN
+    numbers = numbers.ravel()
+    means = [np.bincount(numbers, keypoints[:, i]) / count for i in (0, 1)]
+    return np.column_stack([*means, keypoints[first, 2]]), numbers, count <= MOST_SEEN
 
 
 def is_borne_out(found: Flags, fits: Flags) -> bool:
