@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.ports import kept_port
 from tests.support.server.certificates import make_certificate
 from tests.support.waiting import BOUND_S, wait_until
 
@@ -31,11 +32,6 @@ def need(proxy: str) -> None:
     """Skips the test unless the proxy is installed."""
     if find_program(proxy) is None:
         pytest.skip(f"{proxy} is not installed")
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as sock:
-        return int(sock.getsockname()[1])
 
 
 def replaced(text: str, changes: Mapping[str, str]) -> str:
@@ -112,7 +108,7 @@ def nginx(
     """Runs nginx with TLS in front of the server at port `backend`. root: folder of the streams
     that it sends from disk itself, with the secrets in `folder`/swings-secrets.map. tls: False for
     clients behind an emulated link."""
-    port, plain_port = free_port(), free_port()
+    port, plain_port = kept_port(), kept_port()
     certificate, key = make_certificate(folder / "tls")
     user = {r"^user www-data;": "user root;" if os.getuid() == 0 else ""}
     text = replaced(
@@ -152,7 +148,7 @@ def nginx(
 def caddy(backend: int, folder: Path, open_root: Path | None = None) -> Iterator[Proxy]:
     """Runs Caddy in front of the server at port `backend`, without TLS, because there is no trusted
     certificate. open_root: folder of the streams whose objects it sends from disk itself."""
-    port = free_port()
+    port = kept_port()
     text = replaced(
         (DEPLOY / "Caddyfile").read_text(),
         {

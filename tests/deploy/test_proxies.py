@@ -28,7 +28,7 @@ from codec.stream.playrecord import (
 )
 from server.operate.sign.signing import Signer, add_key, read_keys, sign_for_nginx
 from server.servecommand import SAMPLE
-from tests.deploy.proxied import Proxy, Start, caddy, free_port, need, nginx
+from tests.deploy.proxied import Proxy, Start, caddy, need, nginx
 from tests.support.commands import run_ok, serving
 from tests.support.hosted_streams import (
     SEGMENT_FRAMES,
@@ -37,6 +37,7 @@ from tests.support.hosted_streams import (
     small_manifest,
     write_stream,
 )
+from tests.support.ports import kept_port
 
 PROXIES: dict[str, Start] = {"nginx": nginx, "caddy": caddy}
 FRAMES = 20
@@ -117,7 +118,7 @@ def test_caddy_sends_objects_of_open_streams_from_disk(root: Path, tmp_path: Pat
     data = (root / "walk" / "segments" / "1" / "2").read_bytes()
     (root / "walk" / "segments" / "1" / "secret").write_bytes(b"not an object")
     # No server is behind it: everything that it does not send itself is a 502.
-    with caddy(free_port(), tmp_path, root) as proxy:
+    with caddy(kept_port(), tmp_path, root) as proxy:
         status, headers, body = proxy.ask(OBJECT)
         assert (status, body) == (200, data)
         assert headers["Access-Control-Allow-Origin"] == "*"
@@ -216,7 +217,7 @@ def test_objects_of_open_streams_stay_in_the_cache_until_it_is_emptied(
     root: Path, tmp_path: Path
 ) -> None:
     need("nginx")
-    port = free_port()
+    port = kept_port()
     keys = tmp_path / "keys"
     add_key(keys)
     with nginx(port, tmp_path) as proxy:
@@ -247,7 +248,7 @@ def test_nginx_sends_signed_objects_from_disk(root: Path, tmp_path: Path) -> Non
     until_s = int(time.time()) + 600
     good = sign_for_nginx(keys, "walk", until_s)
     data = (root / "walk" / "segments" / "1" / "2").read_bytes()
-    port = free_port()  # no server is there: responses come from the disk
+    port = kept_port()  # no server is there: responses come from the disk
     with nginx(port, tmp_path, streams) as proxy:
 
         def status(prefix: str, path: str = OBJECT) -> int:

@@ -29,6 +29,7 @@ from codec.stream import StreamWriter
 from codec.stream.manifest import Manifest
 from codec.stream.wholeslice import split_counts
 from tests.support.commands import IDLE, ROOT
+from tests.support.ports import kept_port
 from tests.support.waiting import BOUND_S, wait_until
 
 SWIN_SIZE = 5  # the paper's
@@ -131,8 +132,9 @@ def answering(server: BaseServer) -> Iterator[None]:
 def static_host(
     folder: Path, port: int = 0, cors: bool = False, objects_bps: float | None = None
 ) -> Iterator[str]:
-    """Runs a plain file server of `folder`; gives its URL. port: 0 selects a free one. cors: pages
-    of other origins may read the files. objects_bps: rate of all segments' objects together."""
+    """Runs a plain file server of `folder`; gives its URL. port: 0 selects one that stays free.
+    cors: pages of other origins may read the files. objects_bps: rate of all segments' objects
+    together."""
     link = threading.Lock()
 
     class Handler(SimpleHTTPRequestHandler):
@@ -166,7 +168,9 @@ def static_host(
         def log_message(self, format: str, *args: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", port), partial(Handler, directory=str(folder)))
+    server = ThreadingHTTPServer(
+        ("127.0.0.1", port or kept_port()), partial(Handler, directory=str(folder))
+    )
     with answering(server):
         yield f"http://127.0.0.1:{server.server_port}"
 
@@ -175,7 +179,8 @@ class ServerProcess:
     """swings-serve as a process that can be killed and restarted at the same port."""
 
     def __init__(self, root: Path, port: int = 0, words: Sequence[str] = ()) -> None:
-        command = [sys.executable, "-m", "server", str(root), "--port", str(port), *IDLE, *words]
+        place = "--port", str(port or kept_port())
+        command = [sys.executable, "-m", "server", str(root), *place, *IDLE, *words]
         self.process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         ready = self.process.stdout.readline()

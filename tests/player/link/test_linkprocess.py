@@ -20,6 +20,7 @@ from player.link.linkprocess import LinkProcess, RelayError
 from player.link.relay import read_link
 from tests.player.link.pouring import drain, pouring
 from tests.support.commands import ROOT
+from tests.support.ports import kept_port
 from tests.support.waiting import BOUND_S, is_running, wait_until
 
 LINK = read_link("8M")
@@ -110,9 +111,7 @@ def test_a_player_that_does_not_read_holds_the_server_back() -> None:
 
 
 def test_a_server_that_is_away_is_said_in_http() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        port = unused.getsockname()[1]
-    with LinkProcess(LINK, "127.0.0.1", port) as relay, pytest.raises(HTTPError) as answer:
+    with LinkProcess(LINK, "127.0.0.1", kept_port()) as relay, pytest.raises(HTTPError) as answer:
         urlopen("http://{}:{}/".format(*relay.address), timeout=BOUND_S)
     assert answer.value.code == 502
     assert b"cannot connect" in answer.value.read()

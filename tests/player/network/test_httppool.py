@@ -22,6 +22,7 @@ from player.network.http import MAX_IDLE, HttpPool
 from player.network.target import BrokenError, Target
 from tests.player.network.webhosts import ScriptedHost, script, web_host
 from tests.support.commands import environment, run, serving, unhurried
+from tests.support.ports import kept_port
 from tests.support.waiting import BOUND_S
 
 BODY = bytes(range(256)) * 900
@@ -117,8 +118,7 @@ def test_any_answer_gives_a_value_or_an_error(junk: bytes) -> None:
 
 
 def test_a_host_that_cannot_be_reached_is_named() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
+    port = kept_port()
     bad = ["http://[", "http:///x", "http://[::1/s", "ftp://a/b", "http://a:b/", "http://a:99999/"]
     bad += ("http://", "http://é..é/", "http://a..b/", "http://a b/", "http://" + "a" * 70)
     with closing(Fetcher()) as fetcher:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -21,6 +20,7 @@ from tests.player.network.webhosts import (
     WebHost,
     web_host,
 )
+from tests.support.ports import kept_port
 
 
 @pytest.fixture(autouse=True)
@@ -112,8 +112,7 @@ def test_a_proxy_that_refuses_is_named(
 
 
 def test_a_proxy_that_is_none_or_does_not_listen_is_named(environment: pytest.MonkeyPatch) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
+    port = kept_port()
     away = f"cannot connect to the proxy http://127.0.0.1:{port}: Connection refused"
     for value, message in (
         (f"http://paula:geheim@127.0.0.1:{port}", away),

@@ -4,7 +4,6 @@ opened again and again, as for seeks."""
 from __future__ import annotations
 
 import shutil
-import socket
 import threading
 from collections.abc import Iterator
 from contextlib import closing
@@ -24,6 +23,7 @@ from tests.player.source.test_served import answer, start
 from tests.support.delivery.assembled import assembled, read_all, slices_of
 from tests.support.hosted_streams import SWIN_SIZE, ServerProcess, served, static_host, write_stream
 from tests.support.hostile import put_object
+from tests.support.ports import kept_port
 
 
 def test_all_forms_of_a_stream_s_url(library: Path, server: ServerProcess) -> None:
@@ -50,14 +50,8 @@ def test_what_is_not_there(
     for name in ("first", "second"):
         shutil.copytree(library / "one", tmp_path / name)
     monkeypatch.delattr(Fetcher, "pause")  # what was never there is not waited for
-    with (
-        static_host(library) as host,
-        static_host(tmp_path) as other,
-        served(tmp_path) as many,
-        socket.create_server(("127.0.0.1", 0)) as unused,
-    ):
-        away = f"http://127.0.0.1:{unused.getsockname()[1]}"
-        unused.close()
+    with static_host(library) as host, static_host(tmp_path) as other, served(tmp_path) as many:
+        away = f"http://127.0.0.1:{kept_port()}"
         rows = [
             (f"{other}/nothing", "is not a stream"),
             (f"{other}/empty", "is not a stream"),

@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.ports import kept_port
+
 BUCKET = "streams"
 
 
@@ -23,13 +25,12 @@ class S3Server:
         pytest.importorskip("obstore", reason="object stores need the extra s3")
         self._moto: Any = pytest.importorskip("moto.server", reason="moto is not installed")
         logging.getLogger("werkzeug").setLevel(logging.ERROR)
-        self._port = 0
+        self._port = kept_port()
         self.start()
 
     def start(self) -> None:
         self._server = self._moto.ThreadedMotoServer(port=self._port, verbose=False)
         self._server.start()
-        _, self._port = self._server.get_host_and_port()
 
     def stop(self) -> None:
         self._server.stop()
