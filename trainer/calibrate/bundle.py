@@ -1,9 +1,9 @@
-"""Bundle adjustment with what is known of lenses before anything is seen: those of one kind are
-alike, and their principal points lie near the middle.
+"""Bundle adjustment with a prior for lenses: those of one kind are alike, and principal points lie
+near the middle.
 
 A principal point can stand in for a turn of its camera and a focal length for its distance, so that
 a camera with few points is turned and moved by their noise. pycolmap's adjustment knows no such
-spreads: it would hold lenses or leave them free.
+prior: it holds lenses, or leaves them free.
 
 Levenberg and Marquardt's steps; points are eliminated (Triggs et al., "Bundle Adjustment - A Modern
 Synthesis", 2000, section 6.1).
@@ -25,7 +25,7 @@ NOISE_PX = 0.5
 
 CENTRE_SPREAD, FOCAL_SPREAD, RADIAL_SPREAD = 0.015, 0.01, 0.01
 """How far principal points lie from the middle, over the longer side, and focal lengths, over their
-mean, and radial terms from the means of their kind."""
+mean, and radial terms from theirs: means of a kind."""
 
 FOCAL_UNKNOWN, RADIAL_UNKNOWN = 0.5, 0.3
 """How far all those of a kind may be from what was found before."""
@@ -108,38 +108,41 @@ class Bundle:
 def adjusted(
     bundle: Bundle, kinds: Sequence[int], sizes_px: Sequence[tuple[int, int]], scale: float
 ) -> Bundle:
-    """The bundle that fits what is seen and known best, without observations that lie off.
+    """The likeliest bundle by what cameras see and by the prior of their lenses, without
+    observations that lie off.
 
     kinds: of each camera, the kind whose lenses are alike; scale: size of the pictures over 640
     pixels of width.
     """
-    known = Lenses(bundle.lenses, kinds, sizes_px)
+    prior = LensPrior(bundle.lenses, kinds, sizes_px)
     for limit_px in FILTER_PX:
-        bundle = _fitted(bundle, known, NOISE_PX * scale)
+        bundle = _fitted(bundle, prior, NOISE_PX * scale)
         misses_px = np.linalg.norm(bundle.misses_px(), axis=1)
         bundle = bundle.kept((misses_px < limit_px * scale) & (bundle.local()[:, 2] > 0))
     return bundle
 
 
-class Lenses:
-    """What is known of lenses before anything is seen."""
+class LensPrior:
+    """A normal distribution of the lenses of all cameras."""
 
     def __init__(
         self, lenses: Doubles, kinds: Sequence[int], sizes_px: Sequence[tuple[int, int]]
     ) -> None:
         sizes = np.array(sizes_px, float)
-        number, focal = len(lenses), lenses[:, 0].mean()
+        number = len(lenses)
         self._means = np.column_stack([lenses[:, 0], sizes / 2, lenses[:, 3]])
         self.weights = np.zeros((number, LENS, number, LENS))
         """Half of the second derivatives of `cost`."""
         same = np.array(kinds)[:, None] == np.array(kinds)
         # A kind may have any mean: only what lenses deviate from it counts.
         deviates = np.eye(number) - same / same.sum(axis=1)
-        for i, spread, unknown in (
-            (0, FOCAL_SPREAD * focal, FOCAL_UNKNOWN * focal),
-            (3, RADIAL_SPREAD, RADIAL_UNKNOWN),
+        focal = same @ lenses[:, 0] / same.sum(axis=1)
+        for i, unit, spread, unknown in (
+            (0, focal, FOCAL_SPREAD, FOCAL_UNKNOWN),
+            (3, np.ones(number), RADIAL_SPREAD, RADIAL_UNKNOWN),
         ):
-            self.weights[:, i, :, i] = deviates / spread**2 + np.eye(number) / unknown**2
+            relative = deviates / spread**2 + np.eye(number) / unknown**2
+            self.weights[:, i, :, i] = relative / unit / unit[:, None]
         centre = np.diag(1 / (CENTRE_SPREAD * sizes.max(axis=1)) ** 2)
         self.weights[:, 1, :, 1] = self.weights[:, 2, :, 2] = centre
 
@@ -153,16 +156,16 @@ class Lenses:
         return float(((lenses - self._means) * self.slopes(lenses)).sum())
 
 
-def _fitted(bundle: Bundle, known: Lenses, noise_px: float) -> Bundle:
+def _fitted(bundle: Bundle, prior: LensPrior, noise_px: float) -> Bundle:
     """The bundle of least cost: squares of errors that are small, sizes of large ones."""
 
     def cost(tried: Bundle) -> float:
         errors = (tried.misses_px() ** 2).sum(axis=1) / (2 * noise_px) ** 2
-        return float(8 * (np.sqrt(1 + errors) - 1).sum()) + known.cost(tried.lenses)
+        return float(8 * (np.sqrt(1 + errors) - 1).sum()) + prior.cost(tried.lenses)
 
     damping, now = START_DAMPING, cost(bundle)
     for _ in range(MAX_STEPS):
-        equations = _Equations(bundle, known, noise_px)
+        equations = _Equations(bundle, prior, noise_px)
         while True:
             tried = bundle.moved(*equations.step(damping))
             then = cost(tried)
@@ -181,7 +184,7 @@ def _fitted(bundle: Bundle, known: Lenses, noise_px: float) -> Bundle:
 class _Equations:
     """Gauss and Newton's equations at a bundle: of cameras and points, and what ties them."""
 
-    def __init__(self, bundle: Bundle, known: Lenses, noise_px: float) -> None:
+    def __init__(self, bundle: Bundle, prior: LensPrior, noise_px: float) -> None:
         misses = bundle.misses_px()
         soft = np.sqrt(1 + (misses**2).sum(axis=1) / (2 * noise_px) ** 2)
         weights = (1 / (soft * noise_px**2))[:, None, None]
@@ -199,9 +202,9 @@ class _Equations:
         own = summed(by_camera, left @ of_cameras)
         self._cameras = np.zeros((*self._shape, *self._shape))
         self._cameras[range(number), :, range(number)] = own
-        self._cameras[:, POSE:, :, POSE:] += known.weights
+        self._cameras[:, POSE:, :, POSE:] += prior.weights
         self._camera_slopes = summed(by_camera, left @ errors)[:, :, 0]
-        self._camera_slopes[:, POSE:] += known.slopes(bundle.lenses)
+        self._camera_slopes[:, POSE:] += prior.slopes(bundle.lenses)
         below = (of_points * weights).swapaxes(1, 2)
         self._points = summed(by_point, below @ of_points)
         self._point_slopes = summed(by_point, below @ errors).ravel()
@@ -214,7 +217,7 @@ class _Equations:
         self._ties.resize((number * (POSE + LENS), self._points.shape[0] * 3))
 
     def step(self, damping: float) -> tuple[Doubles, Doubles]:
-        """Of cameras (C, 10) and points (P, 3)."""
+        """Moves cameras by (C, 10) and points by (P, 3)."""
         points = self._points * (1 + damping * np.eye(3)) + 1e-12 * np.eye(3)
         number = len(points)
         inverse = sparse.bsr_matrix(

@@ -14,7 +14,7 @@ from trainer.errors import CaptureError
 from trainer.storedfiles import by_its_name, local_folder, translated
 
 from .capture import ALL_CAMERAS, CameraChoice, Capture, named
-from .layouts import LAYOUTS, TABLE_SUFFIXES
+from .layouts import LAYOUTS, TABLE_SUFFIXES, CaptureLayout
 from .picturefiles import folder_names
 from .video import VIDEO_SUFFIXES, VIDEOS_NAME
 
@@ -62,17 +62,21 @@ def twin_doubts(cameras: Sequence[Camera]) -> list[str]:
     ]
 
 
-def plain_videos(path: Path) -> Path | None:
-    """The folder that holds the videos, where `path` holds videos without any poses."""
-    if not path.is_dir():
-        return None
-    names = {entry.name for entry in path.iterdir()}
-    if any(not names.isdisjoint(layout.markers) for layout in LAYOUTS):
-        return None
+def plain_videos(path: Path) -> list[Path]:
+    """The videos in a folder, or in its folder of videos, where nothing gives their poses."""
+    if _layout_of(folder_names(path)) is not None:
+        return []
     for place in (path, path / VIDEOS_NAME):
-        if any(Path(name).suffix.lower() in VIDEO_SUFFIXES for name in folder_names(place)):
-            return place
-    return None
+        files = [place / name for name in folder_names(place)]
+        videos = [file for file in files if file.suffix.lower() in VIDEO_SUFFIXES]
+        if videos:
+            return videos
+    return []
+
+
+def _layout_of(names: set[str] | frozenset[str]) -> CaptureLayout | None:
+    """The layout of a capture whose folder holds these names."""
+    return next((each for each in LAYOUTS if not names.isdisjoint(each.markers)), None)
 
 
 def _open_folder(path: Path, choice: CameraChoice) -> Capture:
@@ -83,14 +87,16 @@ def _open_folder(path: Path, choice: CameraChoice) -> Capture:
     names = {entry.name for entry in path.iterdir()}
     if not names:
         raise CaptureError(f"{path}: the folder is empty")
-    for layout in LAYOUTS:
-        if not names.isdisjoint(layout.markers):
-            return layout.open(path, choice)
+    layout = _layout_of(names)
+    if layout is not None:
+        return layout.open(path, choice)
     videos = plain_videos(path)
-    if videos is not None:
+    if videos:
+        place = videos[0].parent
         raise CaptureError(
-            f"{videos}: videos, but no poses of their cameras; make a capture of them with "
-            f"swings-capture calibrate {videos} CAPTURE: see 'From videos' in docs/CAPTURES.md"
+            f"{place}: {len(videos)} videos, but no poses of their cameras; make a capture of "
+            f"them with swings-capture calibrate {place} CAPTURE: see 'From videos' in "
+            "docs/CAPTURES.md"
         )
     *others, last = (f"{layout.contents} ({layout.title})" for layout in LAYOUTS)
     raise CaptureError(f"{path}: unknown layout; expected {', '.join(others)} or {last}")

@@ -19,11 +19,12 @@ def with_poses(config: TrainConfig, console: Console) -> TrainConfig:
     """The same config, or, where its capture is a folder of plain videos, one whose capture they
     have become, as `swings-capture calibrate` makes it. An earlier one of the same videos is used
     again. Raises CaptureError."""
-    videos = None if is_url(config.capture) else plain_videos(Path(config.capture))
-    if videos is None:
+    found = [] if is_url(config.capture) else plain_videos(Path(config.capture))
+    if not found:
         return config
-    name = str(config.target).rstrip("/").rpartition("/")[2] + "-capture"
-    capture = Path(name) if is_url(config.target) else Path(config.target).with_name(name)
+    videos = found[0].parent
+    stream = str(config.target).rstrip("/")
+    capture = Path(f"{stream.rpartition('/')[2] if is_url(stream) else stream}-capture")
     if capture.exists():
         _check_same(capture, videos)
     else:

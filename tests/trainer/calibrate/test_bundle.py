@@ -16,7 +16,7 @@ NUM_CAMERAS = 8
 
 
 def filmed(count: int, noise_px: float) -> tuple[Bundle, Bundle]:
-    """What is true, and a guess that sees it."""
+    """The true bundle, and a first guess with what its cameras see."""
     rng = np.random.default_rng(0)
     cameras = np.repeat(np.arange(NUM_CAMERAS), count)
     points = np.tile(np.arange(count), NUM_CAMERAS)

@@ -33,7 +33,7 @@ def test_folders_that_are_not_captures_are_refused(tmp_path: Path) -> None:
         for name in ("cam00.mp4", "b.MOV", "._b.MOV"):
             (videos / name).touch()
         said = refusal(tmp_path / videos.relative_to(tmp_path).parts[0])
-        assert f"{videos}: videos, but no poses of their cameras" in said
+        assert f"{videos}: 2 videos, but no poses of their cameras" in said
     assert "see 'From videos' in docs/CAPTURES.md" in said
 
 

@@ -115,7 +115,7 @@ def test_bad_poses_are_refused(capture_path: Path) -> None:
     path.write_bytes(b"nonsense")
     assert "not a .npy file" in refusal(capture_path)
     path.unlink()
-    assert "videos, but no poses of their cameras" in refusal(capture_path)
+    assert "3 videos, but no poses of their cameras" in refusal(capture_path)
 
 
 def test_smaller_videos_and_names_in_upper_case(capture_path: Path) -> None:
