@@ -1,6 +1,6 @@
 /**
  * Writes dist/, which the npm package consists of: the modules of the player one by one, for bundlers, each
- * worker as one file, and the declarations of all of them.
+ * worker as one file, and the declarations of all of them. --untyped: without the declarations.
  */
 import { execFileSync } from "node:child_process";
 import { copyFileSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -100,7 +100,7 @@ function writeTypes() {
 
 rmSync(DIST, { recursive: true, force: true });
 await writeModules();
-writeTypes();
+if (!process.argv.includes("--untyped")) writeTypes();
 writeFileSync(`${DIST}custom-elements.json`, `${JSON.stringify(elementsManifest(), null, 2)}\n`);
 copyFileSync(`${WEB}watch.html`, `${DIST}watch.html`);
 copyFileSync(`${WEB}../../LICENSE`, `${WEB}LICENSE`);

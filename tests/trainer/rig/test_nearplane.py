@@ -50,16 +50,17 @@ def least_depth(camera: Camera) -> float:
     return float(Studio(room(), camera).depth(0).min())
 
 
-def near_of(capture: Capture) -> float:
-    near = nearplane.near_plane(capture, look(capture, range(1)))
+def planes_of(capture: Capture) -> tuple[float, dict[str, float]]:
+    """The near plane, and those by camera."""
+    seen = look(capture, range(1))
+    near = nearplane.near_plane(capture, seen)
     assert near is not None
-    return near
+    planes = nearplane.near_planes(capture, seen)
+    return near, dict(zip([c.camera.name for c in capture.cameras], planes, strict=True))
 
 
-def planes_of(capture: Capture) -> dict[str, float]:
-    """The near planes by camera."""
-    planes = nearplane.near_planes(capture, look(capture, range(1)))
-    return dict(zip([c.camera.name for c in capture.cameras], planes, strict=True))
+def near_of(capture: Capture) -> float:
+    return planes_of(capture)[0]
 
 
 RING = camera_rig(12, *SIZE_PX, float(np.radians(200)))
@@ -79,8 +80,9 @@ def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(ring: Capture)
     depths = rig_depths(RING)
     assert depths is not None
     for capture in (ring, replace(ring, points=None)):
-        assert near_of(capture) == capture.near_m == pytest.approx(depths[0])
-        assert set(planes_of(capture).values()) == {capture.near_m}
+        near, planes = planes_of(capture)
+        assert near == capture.near_m == pytest.approx(depths[0])
+        assert set(planes.values()) == {capture.near_m}
     lines = checked(ring.root)
     assert said(lines, "near").endswith(", from the rig")
     assert not all_said(lines, "near of")
@@ -92,12 +94,11 @@ def test_points_that_a_camera_sees_bring_it_in(close: Capture) -> None:
     suggested = capture.near_m
     assert suggested is not None
     assert nearest < 0.6 * suggested
-    near = near_of(capture)
+    near, planes = planes_of(capture)
     assert near == pytest.approx(LEAST_SHARE * suggested)  # but not nearer automatically
     lines = checked(close.root)
     assert said(lines, "near").startswith(f"{near:.3g} units, from what the cameras see; the rig ")
     assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have their own planes
-    planes = planes_of(capture)
     for camera in cameras:
         own = max(MARGIN * least_depth(camera), LEAST_OWN_SHARE * suggested)
         assert planes[camera.name] == pytest.approx(min(own, near), rel=0.1)
@@ -137,7 +138,7 @@ def test_stray_points_do_not(ring: Capture) -> None:
     assert near_of(with_points(ring, 5, 0.8)) == ring.near_m
     there = with_points(with_points(ring, 60, 0.9), 5, 0.8)
     assert near_of(there) == pytest.approx(MARGIN * 0.9)
-    assert planes_of(there)["cam06"] == pytest.approx(MARGIN * 0.9)
+    assert planes_of(there)[1]["cam06"] == pytest.approx(MARGIN * 0.9)
     seen = look(there, range(1))
     assert seen is not None
     assert nearplane.cut_by(there, seen, 0.91)[0][0] == "cam06"
@@ -185,7 +186,7 @@ def test_new_places_are_searched_from_where_the_rig_says(close: Capture, tmp_pat
     assert close.near_m is not None
     assert found.near_m < 0.9 * close.near_m
     assert found.search_from_m == close.near_m
-    assert found.camera_near_m == tuple(planes_of(close).values())
+    assert found.camera_near_m == tuple(planes_of(close)[1].values())
     assert found.training_planes == list(found.camera_near_m)
     given = prepare(TrainConfig(close.root, tmp_path / "s", near_m=0.3))
     assert given.near_m == given.search_from_m == 0.3
