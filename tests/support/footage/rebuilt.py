@@ -24,17 +24,17 @@ def room() -> Scene:
     return Scene(30.0, 0, WALK_RADIUS_M, spacing_m(WIDTH_PX))
 
 
-def filmed(camera: Camera) -> list[Picture]:
-    """The picture of each frame, of which there is one."""
-    return [Studio(room(), camera).film(0)[0]]
+def studios(cameras: Sequence[Camera]) -> list[Studio]:
+    """The room as each camera sees it, in frame 0 alone."""
+    return [Studio(room(), camera) for camera in cameras]
 
 
-def points_seen(cameras: Sequence[Camera], count: int) -> tuple[Doubles, Picture]:
-    """(P, 3) points on the surfaces that the cameras see in frame 0, and their colours."""
+def points_seen(seen: Sequence[Studio], count: int) -> tuple[Doubles, Picture]:
+    """(P, 3) points on the surfaces that cameras see, and their colours."""
     found = []
-    for number, camera in enumerate(cameras):
+    for number, studio in enumerate(seen):
         rng = np.random.default_rng(number)
-        found.append(Studio(room(), camera).sample_points(count // len(cameras), rng))
+        found.append(studio.sample_points(count // len(seen), rng))
     xyz, rgb = zip(*found, strict=True)
     return np.concatenate(xyz).astype(np.float64), np.concatenate(rgb)
 

@@ -12,7 +12,7 @@ from PIL import Image
 from codec.camera import Camera, rotation_about
 from codec.rig import rig_depths
 from tests.support.footage.checking import all_said, checked, said
-from tests.support.footage.rebuilt import SIZE_PX, close_rig, filmed, points_seen, room
+from tests.support.footage.rebuilt import SIZE_PX, close_rig, points_seen, studios
 from tests.support.tiny_capture import HEIGHT_PX, WIDTH_PX, tiny_rig, write_dynerf
 from tests.support.tiny_models import transforms_of, write_pictures, write_transforms
 from trainer.calibrate.lateness import late_frames
@@ -30,24 +30,24 @@ from trainer.rig.doubts import (
 from trainer.rig.nearplane import LEAST_OWN_SHARE, LEAST_SHARE, MARGIN, look
 from trainer.run.config import TrainConfig
 from trainer.run.prepare import prepare
-from trainer.synth.film import Studio
 from trainer.synth.scene import camera_rig
 
 
 def write(root: Path, cameras: list[Camera], points: int) -> Capture:
     """Writes one frame in the nerfstudio layout, with all cameras for training."""
-    paths = write_pictures(root, cameras, 1, False, lambda i, _: filmed(cameras[i])[0])
+    seen = studios(cameras)
+    paths = write_pictures(root, cameras, 1, False, lambda i, _: seen[i].film(0)[0])
     write_transforms(root, transforms_of(cameras, paths) | {"fps": 30})
     (root / "held_out.txt").write_text("")
     if points:
-        xyz, rgb = points_seen(cameras, points)
+        xyz, rgb = points_seen(seen, points)
         np.savez(root / "points.npz", xyz=xyz, rgb=rgb)
     return open_capture(root)
 
 
-def least_depth(camera: Camera) -> float:
-    """Minimum depth of everything that the camera sees."""
-    return float(Studio(room(), camera).depth(0).min())
+def least_depths(cameras: list[Camera]) -> list[float]:
+    """Minimum depth of everything that each camera sees."""
+    return [float(studio.depth(0).min()) for studio in studios(cameras)]
 
 
 def planes_of(capture: Capture) -> tuple[float, dict[str, float]]:
@@ -90,7 +90,8 @@ def test_a_rig_that_sees_nothing_near_keeps_what_the_rig_suggests(ring: Capture)
 
 def test_points_that_a_camera_sees_bring_it_in(close: Capture) -> None:
     capture, cameras = close, [entry.camera for entry in close.cameras]
-    nearest = min(map(least_depth, cameras))
+    depths = least_depths(cameras)
+    nearest = min(depths)
     suggested = capture.near_m
     assert suggested is not None
     assert nearest < 0.6 * suggested
@@ -99,8 +100,8 @@ def test_points_that_a_camera_sees_bring_it_in(close: Capture) -> None:
     lines = checked(close.root)
     assert said(lines, "near").startswith(f"{near:.3g} units, from what the cameras see; the rig ")
     assert said(lines, "near cuts").startswith("at most 0.5%")  # cameras have their own planes
-    for camera in cameras:
-        own = max(MARGIN * least_depth(camera), LEAST_OWN_SHARE * suggested)
+    for camera, depth in zip(cameras, depths, strict=True):
+        own = max(MARGIN * depth, LEAST_OWN_SHARE * suggested)
         assert planes[camera.name] == pytest.approx(min(own, near), rel=0.1)
         assert planes[camera.name] <= near
     assert f"cam10 {planes['cam10']:.3g}" in said(lines, "near of")
