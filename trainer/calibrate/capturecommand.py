@@ -29,7 +29,7 @@ class Calibrate:
     """Two cameras and their distance, metres, for the unit of the capture."""
     offsets: Path | None = None
     """File with a line for each camera: its name, and the time in its video, seconds, of a moment
-    that all show. Without it, sound, timecode or movement tell."""
+    that all show. Without it, sound, timecode, a flash or movement tell."""
     moments: int = 20
     """Number of moments of which the rig is made. More take longer and are more precise."""
     longest_px: int = 1600

@@ -1,4 +1,4 @@
-"""When each camera began: by a file, by sound or timecode, or else by what moves.
+"""When each camera began: by a file, by sound, timecode or a flash, or else by what moves.
 
 The lags of all takes are those at which each two of them are most alike. Where something moves is
 compared by geometry: at the right lags, it lies on the epipolar lines of what moves in the other
@@ -162,6 +162,11 @@ SMALL_PX, REACH, MOVING = 96, 7, 3.0
 """Side of the small pictures in which movement is looked for, samples of them around its middle
 that belong to it, and their mean change, of 255, from which on something moves there."""
 
+FLASH, BRIGHTER, FLASH_S = 6.0, 4.0, 0.5
+"""Least rise of a picture's mean, of 255, from one frame to the next that is a flash, or a lamp
+that is switched on; how many times as large it is as rises at other times; and how long the rises
+of one flash may take."""
+
 _TIMECODE = re.compile(r"(\d\d):(\d\d):(\d\d)[:;.](\d\d)")
 
 
@@ -205,23 +210,36 @@ def timecode_s(file: Path, fps: float) -> float | None:
     return None
 
 
-def movement_px(take: Take, rate: float, most_s: float) -> Doubles:
-    """(T, 2) where most moves in a take, `rate` times a second, pixels; NaN where nothing does."""
+def movement_px(take: Take, rate: float, most_s: float) -> tuple[Doubles, Doubles]:
+    """(T, 2) where most moves in a take, `rate` times a second, pixels; NaN where nothing does; and
+    (T,) the mean of its picture, of 255."""
     count = int(min(most_s, take.times_s[-1]) * rate) + 1
-    found = np.full((count, 2), np.nan)
+    found, means = np.full((count, 2), np.nan), np.zeros(count)
     before, last = None, -1
     with closing(take.open()) as source:
         for sample in range(count):
             frame = take.nearest_frame(sample / rate)
             if frame == last:  # a video of a lower rate shows some twice
+                means[sample] = means[sample - 1]
                 continue
             last, image = frame, Image.fromarray(source.read(frame)).convert("L")
             grey = np.asarray(image.resize((SMALL_PX, SMALL_PX), Image.Resampling.BOX), np.float64)
+            means[sample] = grey.mean()
             if before is not None:
                 found[sample] = _place_of(np.abs(grey - before))
             before = grey
-    pixels: Doubles = found / SMALL_PX * (take.width_px, take.height_px)
-    return pixels
+    return found / SMALL_PX * (take.width_px, take.height_px), means
+
+
+def flash_s(means: Doubles, rate: float) -> float | None:
+    """The time, seconds, at which a light goes on in pictures of such means (T,), `rate` a second;
+    None unless there is one such moment."""
+    rises = np.diff(means, prepend=means[:1])
+    first = int(np.argmax(rises))
+    away = np.abs(np.arange(len(rises)) - first) > FLASH_S * rate
+    if rises[first] < max(FLASH, BRIGHTER * rises[away].max(initial=0.0)):
+        return None
+    return first / rate
 
 
 def _place_of(difference: Doubles) -> Doubles:
@@ -320,8 +338,8 @@ class Synchrony:
 def synchronise(
     takes: Sequence[Take], offsets: Path | None, advance: Callable[[float], None]
 ) -> Synchrony:
-    """By a file of offsets, else by sound or timecode, the first that all takes have; else see
-    `confirmed`. Raises CaptureError where the takes have no time in common."""
+    """By a file of offsets, else by sound, timecode or a flash, the first that all takes have; else
+    see `confirmed`. Raises CaptureError where the takes have no time in common."""
     if offsets is not None:
         return _common_time(takes, _read_offsets(offsets, takes), f"as {offsets.name} says")
     notes = []
@@ -341,10 +359,15 @@ def synchronise(
         if len(told) == len(takes):
             return _common_time(takes, told, "by timecode, to a frame", notes)
     rate = _usual_fps(takes) or NOMINAL_FPS
-    moving = []
+    moving, flashes = [], []
     for take in takes:
-        moving.append(movement_px(take, rate, MOST_S))
+        places_px, means = movement_px(take, rate, MOST_S)
+        moving.append(places_px)
+        flashes.append(flash_s(means, rate))
         advance(len(moving) / len(takes))
+    seen = [flash for flash in flashes if flash is not None]
+    if len(seen) == len(takes):
+        return _common_time(takes, seen, "by a flash, to a frame", notes)
     guess = _common_time(takes, [0.0] * len(takes), "as the takes begin", notes)
     return replace(guess, moving_px=tuple(moving))
 
@@ -375,8 +398,8 @@ def confirmed(takes: Sequence[Take], guess: Synchrony, rig: Rig, right: Sequence
         )
         return _common_time(chosen, [0.0] * len(chosen), guess.how, notes)
     raise CaptureError(
-        f"nothing tells when {named(unknown)} began: no sound or timecode that all have, and too "
-        "little that moves where others see it; clap once where all cameras hear it, give "
+        f"nothing tells when {named(unknown)} began: no sound, timecode or flash that all have, "
+        "and too little that moves where others see it; clap once where all cameras hear it, give "
         "--offsets, or leave the camera out (--without-cameras)"
     )
 

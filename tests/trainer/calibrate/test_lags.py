@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from trainer.calibrate.offsets import correlate, series_lags
+from trainer.calibrate.offsets import correlate, flash_s, series_lags
 
 
 def observed(
@@ -58,3 +59,22 @@ def test_a_series_of_something_else_is_not_alike() -> None:
     found, _, _ = series_lags(series, 20)
     assert (found.score > 1.5 * found.rest).tolist() == [True, True, False, True]
     np.testing.assert_allclose(found.lags[[1, 3]] - found.lags[0], [-200, -700], atol=0.5)
+
+
+@pytest.mark.parametrize(
+    ("rises", "told"),
+    [
+        ({}, None),
+        ({41: 20.0}, 41 / 25),
+        ({41: 14.0, 42: 9.0}, 41 / 25),  # half of a flash in each of two frames
+        ({41: 20.0, 90: 20.0}, None),  # two: which of them do the others see?
+        ({41: 3.0}, None),
+    ],
+)
+def test_a_flash_tells_the_time_if_there_is_one(
+    rises: dict[int, float], told: float | None
+) -> None:
+    means = np.random.default_rng(4).normal(100, 0.5, 150)
+    for frame, rise in rises.items():
+        means[frame : frame + 3] += rise
+    assert flash_s(means, 25.0) == told
