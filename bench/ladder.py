@@ -35,7 +35,9 @@ from bench.bjontegaard import RatePoint, bd_psnr_db, bd_rate, rising
 from codec.console import run_command
 from codec.errors import InvalidError
 from trainer.fit.config import FitConfig
-from trainer.run.config import PRESETS, TrainConfig
+from trainer.run.config import PRESETS
+
+FINE = PRESETS["fine"](Path("capture"), Path("stream"))
 
 LADDER, DEDICATED = "ladder", "dedicated"
 COLOURS = {LADDER: "#1f5fbf", DEDICATED: "#d9480f"}
@@ -60,9 +62,10 @@ class LadderConfig(TrialsConfig):
     """Runs of each stream, one per seed; points are their means."""
     num_gs: int = 12_000
     """Gaussians active in a frame of the stream with layers."""
-    settle_rounds: int = 12
+    settle_rounds: int = 15
     """Settle rounds of genesis."""
-    layers: tuple[float, ...] = TrainConfig.layers
+    window_iterations: int = 800
+    layers: tuple[float, ...] = FINE.layers
     """Share of the Gaussians in each layer."""
     active_shares: tuple[float, ...] = (0.2, 0.3)
     """Shares of a slice's slots that the dedicated streams may train and send; that of the stream
@@ -71,7 +74,7 @@ class LadderConfig(TrialsConfig):
     def base(self) -> FitConfig:
         """The settings that all streams share."""
         return replace(
-            PRESETS["fine"](self.capture, Path("stream")).fit,
+            FINE.fit,
             num_gs=self.num_gs,
             genesis_iterations=self.genesis_iterations,
             settle_rounds=self.settle_rounds,

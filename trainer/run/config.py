@@ -35,6 +35,7 @@ from trainer.capture.layouts import listed_titles
 from trainer.errors import CheckpointError
 from trainer.fit.config import FitConfig
 from trainer.fit.mcmc import McmcConfig
+from trainer.lease.leases import LeaseConfig
 from trainer.pictures.framecache import DEFAULT_MAX_BYTES
 from trainer.step.backend import BackendName
 from trainer.step.optimiser import OptimiserConfig
@@ -87,7 +88,7 @@ class TrainConfig:
     """Check the capture instead of training: read the first and the last frame of every camera,
     describe the capture, and draw its cameras and points to this PNG."""
     preset: Preset = "cpu"
-    """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (an hour or two on two
+    """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (an hour on two
     cores), gpu (200,000 Gaussians on a GPU), or paper (the paper's settings, made for a GPU). Other
     options override them."""
     frames: Annotated[str, tyro.conf.arg(metavar="A:B")] = ":"
@@ -309,20 +310,21 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             scene_flow=True,  # so few iterations leave a ghost where a ball was
         ),
     ),
-    # Two cores train 150 frames of 640x360 with it in an hour. docs/RESULTS.md.
+    # Two cores train 150 frames of 640x360 with it in three quarters of an hour. docs/RESULTS.md.
     "fine": partial(
         TrainConfig,
         preset="fine",
         longest_px=None,
+        layers=(0.45, 0.15, 0.15, 0.25),
         fit=FitConfig(
-            num_gs=24_000,
-            settle_rounds=90,
-            window_iterations=450,
+            settle_rounds=55,
+            window_iterations=500,
             window_coarse_share=0.4,  # saves a fifth of the time, costs some flicker
             scene_flow=True,
+            settle_base_share=0.33,
             settle_prefix_share=0.1,
-            prefix_share=0.08,
-            mcmc=McmcConfig(renew_share=0.03),
+            prefix_share=0.2,
+            lease=LeaseConfig(active_share=0.24),
         ),
     ),
     # What a GPU should train in seconds a frame at 1352x1014, the size at which DyNeRF captures are
