@@ -65,6 +65,7 @@ class LadderConfig(TrialsConfig):
     settle_rounds: int = 15
     """Settle rounds of genesis."""
     window_iterations: int = 800
+    """Iterations of every later window."""
     layers: tuple[float, ...] = FINE.layers
     """Share of the Gaussians in each layer."""
     active_shares: tuple[float, ...] = (0.2, 0.3)

@@ -34,13 +34,17 @@ PICTURE_NAME = "rig.png"
 LEAST_MOMENTS = 6
 """Fewer moments cannot be cut into halves that each give a rig."""
 
+PICTURES, FEW_MOMENTS, MANY_MOMENTS = 640, 20, 60
+"""Pictures of all cameras together that the moments should have, and least and most moments, where
+--moments does not tell: a rig of few cameras has few features, and is solved in little time."""
+
 
 def calibrate(config: Calibrate, console: Console | None = None) -> str:
     """Writes the capture, and gives its report. Raises CaptureError for a rig that cannot be found,
     or that is found and is wrong; then nothing is written."""
     if len(config.videos) < 2:
         raise InvalidError("name the videos, or their folder, and last the folder to make")
-    if config.moments < LEAST_MOMENTS:
+    if config.moments is not None and config.moments < LEAST_MOMENTS:
         raise InvalidError(f"moments {config.moments}: must be at least {LEAST_MOMENTS}")
     if find_spec("pycolmap") is None:
         raise CaptureError("pycolmap is not installed; pip install '.[calibrate]'")
@@ -60,28 +64,38 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
             show(round(100 * share), 100)
 
         synchrony = synchronise(takes, config.offsets, lambda share: advance(0.1 * share))
-        if synchrony.num_frames < config.moments:
+        moments = config.moments or _default_moments(len(takes), synchrony.num_frames)
+        if synchrony.num_frames < moments:
             raise CaptureError(
                 f"{given[0]}: frames that all cameras show: {synchrony.num_frames}, where "
-                f"{config.moments} moments are needed (--moments): a rig of few cannot be told "
+                f"{moments} moments are needed (--moments): a rig of few cannot be told "
                 "from a wrong one; film longer"
             )
         sizes, changes = write_moments(
-            takes, synchrony, config.moments, config.longest_px, work,
+            takes, synchrony, moments, config.longest_px, work,
             lambda share: advance(0.1 + 0.1 * share),
         )  # fmt: skip
         if float(np.median(changes.max(axis=0))) < UNCHANGED:
             raise CaptureError(
-                f"{given[0]}: all {config.moments} moments look the same, and a rig made of one "
+                f"{given[0]}: all {moments} moments look the same, and a rig made of one "
                 "moment cannot be told from a wrong one: film while something moves"
             )
-        solution = _solve(config, takes, sizes, work, lambda share: advance(0.2 + 0.8 * share))
+        solution = _solve(
+            config, takes, moments, sizes, work, lambda share: advance(0.2 + 0.8 * share)
+        )
         return _write(config, takes, sizes, synchrony, solution, work, folder)
+
+
+def _default_moments(num_cameras: int, num_frames: int) -> int:
+    """The number of moments for a take of so many frames, which may be too short for them."""
+    wanted = min(max(PICTURES // num_cameras, FEW_MOMENTS), MANY_MOMENTS)
+    return min(wanted, max(num_frames, FEW_MOMENTS))
 
 
 def _solve(
     config: Calibrate,
     takes: Sequence[Take],
+    num_moments: int,
     sizes: Sequence[tuple[int, int]],
     work: Path,
     advance: Callable[[float], None],
@@ -89,7 +103,7 @@ def _solve(
     """What pycolmap finds, in a process of its own."""
     shapes = [(take.width_px, take.height_px) for take in takes]
     kinds = [shapes.index(shape) for shape in shapes]
-    moments = range(config.moments)
+    moments = range(num_moments)
     halves = list(moments[: len(moments) // 2]), list(moments[len(moments) // 2 :])
     Job(sizes, kinds, halves, config.features, config.threads).write(work)
     log = work / "log.txt"
