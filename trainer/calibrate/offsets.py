@@ -210,7 +210,7 @@ def timecode_s(file: Path, fps: float) -> float | None:
     return None
 
 
-def movement_px(take: Take, rate: float, most_s: float) -> tuple[Doubles, Doubles]:
+def movement(take: Take, rate: float, most_s: float) -> tuple[Doubles, Doubles]:
     """(T, 2) where most moves in a take, `rate` times a second, pixels; NaN where nothing does; and
     (T,) the mean of its picture, of 255."""
     count = int(min(most_s, take.times_s[-1]) * rate) + 1
@@ -361,7 +361,7 @@ def synchronise(
     rate = _usual_fps(takes) or NOMINAL_FPS
     moving, flashes = [], []
     for take in takes:
-        places_px, means = movement_px(take, rate, MOST_S)
+        places_px, means = movement(take, rate, MOST_S)
         moving.append(places_px)
         flashes.append(flash_s(means, rate))
         advance(len(moving) / len(takes))
