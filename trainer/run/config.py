@@ -317,15 +317,15 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
         longest_px=None,
         layers=(0.45, 0.15, 0.15, 0.25),
         fit=FitConfig(
-            settle_rounds=40,
-            window_iterations=500,
+            settle_rounds=60,
+            window_iterations=520,
             window_coarse_share=0.4,  # saves a fifth of the time, costs some flicker
             scene_flow=True,
             settle_base_share=0.33,
             settle_prefix_share=0.1,
-            prefix_share=0.3,
-            mcmc=McmcConfig(renew_share=0.03),  # with 0.01 PSNR falls as frames go by
-            lease=LeaseConfig(active_share=0.22),
+            prefix_share=0.25,
+            mcmc=McmcConfig(renew_share=0.025),  # with 0.01 PSNR falls as frames go by
+            lease=LeaseConfig(active_share=0.21),
         ),
     ),
     # What a GPU should train in seconds a frame at 1352x1014, the size at which DyNeRF captures are

@@ -3,6 +3,10 @@
 Cameras of one rig differ in colour. Each training camera sees gain * picture + bias; the mean
 correction over the cameras is held at identity, so that the stream's own colours are the rig's mean
 and held-out cameras are scored uncorrected.
+
+A wall that few cameras see could have other colours, and these cameras other corrections: pictures
+hardly tell. So corrections are drawn to identity, weakly, and settle as steps are taken; at a
+constant rate they wander, and the walls with them.
 """
 
 from __future__ import annotations
@@ -17,14 +21,22 @@ from codec.arrays import Floats
 EPS = 1e-8
 """Of Adam: added to the root of the second moment."""
 
+FULL_STEPS, LEAST_SHARE = 100, 0.01
+"""Steps of a camera at the whole learning rate, which falls as their inverse thereafter, and the
+share of it that remains, to follow a lamp."""
+
+PULL = 1.0
+"""Weight decay: how strongly corrections are drawn to identity, beside a step of Adam."""
+
+IDENTITY = np.array([1, 1, 1, 0, 0, 0], np.float32)
+
 
 class CameraColour:
     """Gain and bias of every camera, with their own Adam."""
 
     def __init__(self, num_cameras: int, lr: float) -> None:
         self.lr = lr
-        self.values = np.zeros((num_cameras, 6), np.float32)  # gain (3), bias (3)
-        self.values[:, :3] = 1
+        self.values = np.tile(IDENTITY, (num_cameras, 1))  # gain (3), bias (3)
         self._first = np.zeros((num_cameras, 6))
         self._second = np.zeros((num_cameras, 6))
         self._steps = np.zeros(num_cameras)
@@ -58,7 +70,7 @@ class CameraColour:
         self._second[camera] += 0.001 * (gradient**2 - self._second[camera])
         first = self._first[camera] / (1 - 0.9**count)
         second = self._second[camera] / (1 - 0.999**count)
-        self.values[camera] -= (self.lr * first / (np.sqrt(second) + EPS)).astype(np.float32)
-        mean = self.values.mean(axis=0)
-        mean[:3] -= 1
-        self.values -= mean
+        step = first / (np.sqrt(second) + EPS) + PULL * (self.values[camera] - IDENTITY)
+        rate = self.lr * max(min(1, FULL_STEPS / count), LEAST_SHARE)
+        self.values[camera] -= (rate * step).astype(np.float32)
+        self.values -= self.values.mean(axis=0) - IDENTITY

@@ -21,7 +21,7 @@ from codec.arrays import Bytes, Floats
 from codec.camera import Camera
 from trainer.pictures.framecache import Pictures
 from trainer.pictures.scale import Shot
-from trainer.step.colour import EPS, CameraColour
+from trainer.step.colour import EPS, FULL_STEPS, IDENTITY, LEAST_SHARE, PULL, CameraColour
 from trainer.step.optimiser import BETA1, BETA2
 from trainer.step.raster import Parameters, View
 
@@ -202,6 +202,7 @@ class TensorColour:
 
     def __init__(self, colour: CameraColour, crossing: Crossing) -> None:
         self._crossing, self._lr = crossing, colour.lr
+        self._identity = crossing.send(IDENTITY)
         self.send(colour)
 
     def send(self, colour: CameraColour) -> None:
@@ -228,7 +229,7 @@ class TensorColour:
         first += (1 - BETA1) * (gradient - first)
         second += (1 - BETA2) * (gradient.square() - second)
         step = first / (1 - BETA1**steps) / ((second / (1 - BETA2**steps)).sqrt() + EPS)
-        self._values[camera] -= self._lr * step
-        mean = self._values.mean(0)
-        mean[:3] -= 1
-        self._values -= mean
+        step += PULL * (self._values[camera] - self._identity)
+        rate = self._lr * (FULL_STEPS / steps).clamp(LEAST_SHARE, 1)
+        self._values[camera] -= rate * step
+        self._values -= self._values.mean(0) - self._identity

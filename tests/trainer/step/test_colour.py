@@ -1,0 +1,28 @@
+"""Corrections of colour find what cameras do, and settle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trainer.step.colour import IDENTITY, CameraColour
+
+
+def test_corrections_are_found_and_stay_near_identity_where_nothing_tells() -> None:
+    """Gradients of squared errors, and noise as large as an error of 0.2. Nothing tells biases."""
+    rng = np.random.default_rng(0)
+    gains = np.array([0.9, 1.1, 1.0, 1.0])
+    colour, after = CameraColour(4, 1e-3), []
+    for step in range(20_000):
+        camera = step % 4
+        wrong = colour.gain(camera) - gains[camera]
+        colour.step(camera, wrong + rng.normal(0, 0.2, 3), rng.normal(0, 0.2, 3))
+        if step in (9_999, 19_999):
+            after.append(colour.values.copy())
+    np.testing.assert_allclose(after[1].mean(axis=0), IDENTITY, atol=1e-6)
+    half, whole = after
+    assert np.abs(whole[:, 3:]).max() < 0.02
+    assert np.abs(whole - half).max() < 0.01
+    # drawn to identity, by a third of a camera's difference at most
+    found = (whole[:, :3] - 1) / (gains[:, None] - 1 + 1e-9)
+    assert found[:2].min() > 0.67
+    assert found[:2].max() < 1.05
