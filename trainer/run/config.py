@@ -310,7 +310,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             scene_flow=True,  # so few iterations leave a ghost where a ball was
         ),
     ),
-    # Two cores train 150 frames of 640x360 with it in three quarters of an hour. docs/RESULTS.md.
+    # Two cores train 150 frames of 640x360 with it in an hour. docs/RESULTS.md.
     "fine": partial(
         TrainConfig,
         preset="fine",
@@ -324,7 +324,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             settle_base_share=0.33,
             settle_prefix_share=0.1,
             prefix_share=0.25,
-            mcmc=McmcConfig(renew_share=0.025),  # with 0.01 PSNR falls as frames go by
+            mcmc=McmcConfig(renew_share=0.025),  # a renewed Gaussian costs two predicted ones
             lease=LeaseConfig(active_share=0.21),
         ),
     ),
