@@ -43,7 +43,7 @@ def layout(swin_size: int, *slots: int, sh_degree: int = 0) -> SlotLayout:
 def config(swin_size: int, **lease: float) -> FitConfig:
     return FitConfig(
         num_gs=90, swin_size=swin_size, genesis_iterations=200, settle_rounds=1,
-        window_iterations=50, calm_from=0.7, prefix_share=0.2,
+        window_iterations=60, calm_from=0.7, prefix_share=0.2,
         mcmc=replace(McmcConfig(), relocate_period=25, renew_share=0.05),
         lease=LeaseConfig(**lease),
     )  # fmt: skip
