@@ -10,12 +10,12 @@ from trainer.step.colour import IDENTITY, CameraColour
 def test_corrections_are_found_and_stay_near_identity_where_nothing_tells() -> None:
     """Gradients of squared errors, and noise as large as an error of 0.2. Nothing tells biases."""
     rng = np.random.default_rng(0)
-    gains = np.array([0.9, 1.1, 1.0, 1.0])
+    gains = np.array([0.9, 1.1, 1.0, 1.0], np.float32)
     colour, after = CameraColour(4, 1e-3), []
     for step in range(20_000):
         camera = step % 4
-        wrong = colour.gain(camera) - gains[camera]
-        colour.step(camera, wrong + rng.normal(0, 0.2, 3), rng.normal(0, 0.2, 3))
+        noise = rng.normal(0, 0.2, (2, 3)).astype(np.float32)
+        colour.step(camera, colour.gain(camera) - gains[camera] + noise[0], noise[1])
         if step in (9_999, 19_999):
             after.append(colour.values.copy())
     np.testing.assert_allclose(after[1].mean(axis=0), IDENTITY, atol=1e-6)
