@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
-from trainer.step.colour import IDENTITY, CameraColour
+from trainer.step.colour import FULL_STEPS, IDENTITY, CameraColour
+from trainer.step.device.tensors import Crossing, TensorColour
 
 
 def test_corrections_are_found_and_stay_near_identity_where_nothing_tells() -> None:
@@ -26,3 +28,17 @@ def test_corrections_are_found_and_stay_near_identity_where_nothing_tells() -> N
     found = (whole[:, :3] - 1) / (gains[:, None] - 1 + 1e-9)
     assert found[:2].min() > 0.67
     assert found[:2].max() < 1.05
+
+
+def test_corrections_settle_on_a_device_as_here() -> None:
+    """Beyond the steps at the whole rate, too."""
+    rng = np.random.default_rng(1)
+    here, fetched = CameraColour(2, 1e-2), CameraColour(2, 1e-2)
+    there = TensorColour(here, Crossing(torch.device("cpu")))
+    for step in range(6 * FULL_STEPS):
+        gradient = rng.normal(0.1 * (step % 2), 0.2, 6).astype(np.float32)
+        here.step(step % 2, gradient[:3], gradient[3:])
+        there.update(step % 2, torch.from_numpy(gradient))
+    there.fetch(fetched)
+    assert np.abs(here.values - IDENTITY).max() > 0.05
+    np.testing.assert_allclose(fetched.values, here.values, atol=2e-4)
