@@ -21,12 +21,12 @@ from trainer.errors import CaptureError
 from trainer.rig.rigdrawing import draw_capture
 
 from .capturecommand import Calibrate
-from .mapping import RESULT_NAME, Job
+from .mapping import LENSES, RESULT_NAME, Job
 from .moments import UNCHANGED, write_moments
-from .offsets import Synchrony, confirmed, synchronise
+from .offsets import Synchrony, confirmed, equally_long, stepped, synchronise
 from .solution import Solution, metres_of_unit, read_solution, world_of
 from .takes import Take, find_takes
-from .verdicts import judge
+from .verdicts import judge, require_enough
 from .writing import REPORT_NAME, calibrated, coloured_points, report_lines, write_capture
 
 PICTURE_NAME = "rig.png"
@@ -37,6 +37,9 @@ LEAST_MOMENTS = 6
 PICTURES, FEW_MOMENTS, MANY_MOMENTS = 640, 20, 60
 """Pictures of all cameras together that the moments should have, and least and most moments, where
 --moments does not tell: a rig of few cameras has few features, and is solved in little time."""
+
+STILL_MOMENTS = 10
+"""Moments by which what stands still gives a first rig of takes that are not in step."""
 
 
 def calibrate(config: Calibrate, console: Console | None = None) -> str:
@@ -64,6 +67,12 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
             show(round(100 * share), 100)
 
         synchrony = synchronise(takes, config.offsets, lambda share: advance(0.1 * share))
+        done = 0.1
+        if synchrony.moving_px and not equally_long(takes):
+            synchrony = _in_step(
+                config, takes, synchrony, work, lambda share: advance(0.1 + 0.2 * share)
+            )
+            done = 0.3
         moments = config.moments or _default_moments(len(takes), synchrony.num_frames)
         if synchrony.num_frames < moments:
             raise CaptureError(
@@ -73,16 +82,15 @@ def calibrate(config: Calibrate, console: Console | None = None) -> str:
             )
         sizes, changes = write_moments(
             takes, synchrony, moments, config.longest_px, work,
-            lambda share: advance(0.1 + 0.1 * share),
+            lambda share: advance(done + 0.1 * share),
         )  # fmt: skip
         if float(np.median(changes.max(axis=0))) < UNCHANGED:
             raise CaptureError(
                 f"{given[0]}: all {moments} moments look the same, and a rig made of one "
                 "moment cannot be told from a wrong one: film while something moves"
             )
-        solution = _solve(
-            config, takes, moments, sizes, work, lambda share: advance(0.2 + 0.8 * share)
-        )
+        job = _job(config, takes, sizes, moments, in_step=True)
+        solution = _solve(job, work, lambda share: advance(done + 0.1 + (0.9 - done) * share))
         return _write(config, takes, sizes, synchrony, solution, work, folder)
 
 
@@ -92,20 +100,42 @@ def _default_moments(num_cameras: int, num_frames: int) -> int:
     return min(wanted, max(num_frames, FEW_MOMENTS))
 
 
-def _solve(
+def _in_step(
     config: Calibrate,
     takes: Sequence[Take],
-    num_moments: int,
-    sizes: Sequence[tuple[int, int]],
-    work: Path,
+    guess: Synchrony,
+    folder: Path,
     advance: Callable[[float], None],
-) -> Solution:
-    """What pycolmap finds, in a process of its own."""
+) -> Synchrony:
+    """The synchrony of takes of which only movement tells when they began, by a first rig."""
+    work = folder / "still"
+    work.mkdir()
+    sizes, _ = write_moments(
+        takes, guess, STILL_MOMENTS, config.longest_px, work, lambda share: advance(0.2 * share)
+    )
+    job = _job(config, takes, sizes, STILL_MOMENTS, in_step=False)
+    solution = _solve(job, work, lambda share: advance(0.2 + 0.8 * share))
+    rig = solution.rigs.get(("whole", LENSES[0]))
+    return guess if rig is None else stepped(takes, guess, rig)
+
+
+def _job(
+    config: Calibrate,
+    takes: Sequence[Take],
+    sizes: Sequence[tuple[int, int]],
+    num_moments: int,
+    in_step: bool,
+) -> Job:
     shapes = [(take.width_px, take.height_px) for take in takes]
     kinds = [shapes.index(shape) for shape in shapes]
-    moments = range(num_moments)
-    halves = list(moments[: len(moments) // 2]), list(moments[len(moments) // 2 :])
-    Job(sizes, kinds, halves, config.features, config.threads).write(work)
+    half = num_moments // 2
+    halves = list(range(half)), list(range(half, num_moments))
+    return Job(sizes, kinds, halves, in_step, config.features, config.threads)
+
+
+def _solve(job: Job, work: Path, advance: Callable[[float], None]) -> Solution:
+    """What pycolmap finds, in a process of its own."""
+    job.write(work)
     log = work / "log.txt"
     command = [sys.executable, "-m", "trainer.calibrate.mapping", str(work)]
     with (
@@ -122,7 +152,7 @@ def _solve(
     if process.returncode != 0:
         last = log.read_text(errors="replace").strip().splitlines()[-1:]
         raise CaptureError(f"pycolmap ended with {process.returncode}: {' '.join(last)[:300]}")
-    return read_solution(work / RESULT_NAME, len(takes))
+    return read_solution(work / RESULT_NAME, len(job.sizes_px))
 
 
 def _write(
@@ -136,12 +166,15 @@ def _write(
 ) -> str:
     names = [take.name for take in takes]
     halves, wrong = judge(solution, names, [size[0] for size in sizes])
+    rig = solution.rigs["whole", halves.lens]
+    right = [i for i in range(len(names)) if i not in wrong]
+    synchrony, lost = confirmed(takes, synchrony, rig, right)
+    wrong |= lost
+    require_enough(names, wrong)
     right = [i for i in range(len(names)) if i not in wrong]
     for i, reason in wrong.items():
         if config.metres is not None and names[i] in config.metres:
             raise CaptureError(f"--metres: {names[i]} {reason}")
-    rig = solution.rigs["whole", halves.lens]
-    synchrony = confirmed(takes, synchrony, rig, right)
     cameras = calibrated(rig, takes, sizes, right)
     plain = [each.camera for each in cameras]
     scale = None if config.metres is None else metres_of_unit(plain, *config.metres)

@@ -6,7 +6,8 @@ solution.py, which reads it). The cameras stand still while the scene moves, so 
 of many moments are pooled, as if each camera had taken one picture with all of them.
 
 The moments are cut into two halves, and each half gives a rig of its own: two rigs that agree were
-not found by chance, and the moments of one half are unseen by the rig of the other.
+not found by chance, and the moments of one half are unseen by the rig of the other. Where nothing
+tells yet when each camera began, only what stands still is compared, and gives one rig.
 """
 
 from __future__ import annotations
@@ -76,6 +77,8 @@ class Job:
     """For each camera the number of its kind: those of one kind have one lens at first."""
     halves: tuple[Sequence[int], Sequence[int]]
     """The moments of each half."""
+    in_step: bool
+    """Whether the pictures of a moment show one; if not, what moves in them is not compared."""
     features: int
     """Most features of a picture."""
     threads: int
@@ -147,9 +150,10 @@ class Mapper:
         rest = [m for m in self._moments if m not in scouts]
         self._match([((m, a), (m, b)) for m in rest for a, b in pairs])
         self._progress(0.5)
-        result: Arrays = {"moved": self._moved()}
-        for camera in self._cameras:
-            result[f"keypoints{camera}"] = self.keypoints[camera]
+        result: Arrays = {f"keypoints{c}": self.keypoints[c] for c in self._cameras}
+        if not self._job.in_step:
+            return result | self.rigs("whole", self._verified(pairs, self._moments))
+        result["moved"] = self._moved()
         both = {pair: np.zeros((0, 2), np.int64) for pair in pairs}
         for name, half in zip(("first", "second"), self._job.halves, strict=True):
             verified = self._verified(pairs, half)
@@ -226,12 +230,14 @@ class Mapper:
         """(N, 2) matches of each two cameras in the moments that one geometry explains."""
         colmap = self._colmap
         database = colmap.Database.open(self._pictures)
-        found = {
-            (a, b): np.unique(
-                np.concatenate([self._matches(database, (m, a), (m, b)) for m in moments]), axis=0
-            )
-            for a, b in pairs
-        }
+        found = {}
+        for a, b in pairs:
+            each = [self._matches(database, (m, a), (m, b)) for m in moments]
+            matches = np.unique(np.concatenate(each), axis=0)
+            if not self._job.in_step:
+                moves = self._moves[a][matches[:, 0]] | self._moves[b][matches[:, 1]]
+                matches = matches[~moves]
+            found[a, b] = matches
         database.close()
         options = colmap.TwoViewGeometryOptions()
         options.ransac.random_seed = self._job.seed

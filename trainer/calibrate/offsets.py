@@ -22,7 +22,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import uniform_filter
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
-from codec.arrays import Doubles, Longs
+from codec.arrays import Doubles, Flags, Longs
 from codec.errors import SwingsError
 from codec.stream.sound import SAMPLE_RATE
 from codec.tracks.soundfile import read_samples
@@ -39,7 +39,7 @@ LEAST_OVERLAP = 0.3
 """Share of the shorter series that two must have in common."""
 
 ROUNDS = 5
-"""How often each take is compared with all others at their lags: that is better than any one."""
+"""How often takes are compared with all others at their lags: that is better than any one."""
 
 WINDOWS = 6
 """Parts of the common time whose lags are found on their own, for spread and drift."""
@@ -73,22 +73,37 @@ def lags_of(curves: Mapping[tuple[int, int], Curve], count: int, guard: int) -> 
     for i in map(int, order[1:]):
         shifts, alike = both[int(before[i]), i]
         whole[i] = whole[int(before[i])] + int(shifts[np.argmax(alike)])
+    groups = [*_branches(order, before), *({i} for i in whole)]
     for _ in range(ROUNDS):
-        for i in whole:
-            shifts, total = _joined(both, i, whole)
-            best = int(np.argmax(total))
-            whole[i] = int(shifts[best])
-            lags[i], score[i] = shifts[best] + _peak(total, best), total[best]
-            rest[i] = total[np.abs(shifts - shifts[best]) > guard].max(initial=0.0)
+        for group in groups:
+            shifts, total = _joined(both, group, whole)
+            shift = int(shifts[np.argmax(total)])
+            whole |= {i: whole[i] + shift for i in group}
+    for i in whole:
+        shifts, total = _joined(both, {i}, whole)
+        best = int(np.argmax(total))
+        lags[i], score[i] = whole[i] + shifts[best] + _peak(total, best), total[best]
+        rest[i] = total[np.abs(shifts - shifts[best]) > guard].max(initial=0.0)
     return Lags(lags, score, rest)
 
 
-def _joined(curves: Mapping[tuple[int, int], Curve], take: int, lags: Mapping[int, int]) -> Curve:
-    """How alike a take is, at each lag, to all others at theirs."""
+def _branches(order: Longs, before: Longs) -> list[set[int]]:
+    """Each take of a tree, but its root, with those beyond it: some that agree on a wrong lag
+    cannot leave it one by one."""
+    beyond = {int(i): {int(i)} for i in order}
+    for i in map(int, order[:0:-1]):
+        beyond[int(before[i])] |= beyond[i]
+    return [beyond[int(i)] for i in order[1:]]
+
+
+def _joined(
+    curves: Mapping[tuple[int, int], Curve], group: set[int], lags: Mapping[int, int]
+) -> Curve:
+    """How alike the takes of a group are to all others, by how much more the group lags."""
     parts = [
-        (shifts + lags[i], alike)
+        (shifts + lags[i] - lags[j], alike)
         for (i, j), (shifts, alike) in curves.items()
-        if take == j and i in lags
+        if j in group and i in lags and i not in group
     ]
     first, last = min(s[0] for s, _ in parts), max(s[-1] for s, _ in parts)
     total = np.zeros(last - first + 1)
@@ -332,7 +347,7 @@ class Synchrony:
     """What to know about them, a line each."""
     moving_px: tuple[Doubles, ...] = ()
     """Where something moves in each take, if only that tells the offsets. It takes a rig to see
-    how: until then the takes are compared as they begin, which still shows what stands still."""
+    how: until then the takes are compared as they begin."""
 
 
 def synchronise(
@@ -372,36 +387,75 @@ def synchronise(
     return replace(guess, moving_px=tuple(moving))
 
 
-def confirmed(takes: Sequence[Take], guess: Synchrony, rig: Rig, right: Sequence[int]) -> Synchrony:
-    """The synchrony of the takes that are right, if need be by where in them something moves.
-    Raises CaptureError for takes of which nothing tells when they began."""
-    chosen = [takes[i] for i in right]
-    if not guess.moving_px:
-        return _common_time(chosen, [guess.starts_s[i] for i in right], guess.how, guess.notes)
+def equally_long(takes: Sequence[Take]) -> bool:
+    """Whether the takes may have begun at once."""
     rate = _usual_fps(takes) or NOMINAL_FPS
-    found = geometric_lags(rig, guess.moving_px, round(MOVEMENT_GUARD_S * rate))
-    lags, score, rest = (each[list(right)] for each in (found.lags, found.score, found.rest))
-    clear = (score >= MOVEMENT_SCORE) & (score >= SHARPER * rest)
-    names, notes = [take.name for take in chosen], list(guess.notes)
-    unknown = [name for name, is_clear in zip(names, clear, strict=True) if not is_clear]
-    equal = np.ptp([take.times_s[-1] for take in chosen]) < 1.5 / rate
-    if not unknown:
-        whole = np.rint(lags - np.median(lags))
-        late = [f"{name} by {n:+.0f} frames" for name, n in zip(names, whole, strict=True) if n]
-        if equal and late:
-            notes.append(f"out of step as filmed, and corrected: {named(late)}")
-        return _common_time(chosen, whole / rate, "by where things move, to a frame", notes)
-    if equal:
+    return bool(np.ptp([take.times_s[-1] for take in takes]) < 1.5 / rate)
+
+
+def stepped(takes: Sequence[Take], guess: Synchrony, rig: Rig) -> Synchrony:
+    """The synchrony by where in the takes something moves, as far as a first rig tells; to be
+    `confirmed` with a better one. Takes of which nothing tells when they began are in the middle of
+    the others."""
+    rate = _usual_fps(takes) or NOMINAL_FPS
+    lags, clear = _movement_lags(rig, guess.moving_px, rate)
+    if clear.sum() < 2:
+        return guess
+    starts_s = np.rint(np.where(clear, lags, np.median(lags[clear]))) / rate
+    found = _common_time(takes, starts_s, "by where things move", guess.notes)
+    return replace(found, moving_px=guess.moving_px)
+
+
+def _movement_lags(
+    rig: Rig, moving_px: Sequence[Doubles], rate: float, told: Doubles | None = None
+) -> tuple[Doubles, Flags]:
+    """(C,) the lags of takes, in samples, and which of them are clear: no others are as good, or
+    they are what was `told` before (C,)."""
+    found = geometric_lags(rig, moving_px, round(MOVEMENT_GUARD_S * rate))
+    clear = found.score >= SHARPER * found.rest
+    if told is not None and np.isfinite(found.lags).any():
+        away = found.lags - told
+        clear |= np.abs(away - np.nanmedian(away)) <= 1
+    return found.lags, clear & (found.score >= MOVEMENT_SCORE)
+
+
+def confirmed(
+    takes: Sequence[Take], guess: Synchrony, rig: Rig, right: Sequence[int]
+) -> tuple[Synchrony, dict[int, str]]:
+    """The synchrony of the takes that are right, if need be by where in them something moves; and
+    of each of which nothing tells when it began, reason and remedy: these are not in it."""
+    if not guess.moving_px:
+        chosen = [takes[i] for i in right]
+        starts_s = [guess.starts_s[i] for i in right]
+        return _common_time(chosen, starts_s, guess.how, guess.notes), {}
+    rate = _usual_fps(takes) or NOMINAL_FPS
+    lags, clear = _movement_lags(rig, guess.moving_px, rate, rate * np.array(guess.starts_s))
+    known = [i for i in right if clear[i]]
+    notes = list(guess.notes)
+    equal = equally_long([takes[i] for i in right])
+    if equal and len(known) < len(right):
+        unknown = named([takes[i].name for i in right if not clear[i]])
         notes.append(
-            f"nothing tells when {named(unknown)} began; as all takes are equally long, they are "
+            f"nothing tells when {unknown} began; as all takes are equally long, they are "
             "taken to begin at once. Give --offsets if they do not"
         )
-        return _common_time(chosen, [0.0] * len(chosen), guess.how, notes)
-    raise CaptureError(
-        f"nothing tells when {named(unknown)} began: no sound, timecode or flash that all have, "
-        "and too little that moves where others see it; clap once where all cameras hear it, give "
-        "--offsets, or leave the camera out (--without-cameras)"
-    )
+        return _common_time([takes[i] for i in right], [0.0] * len(right), guess.how, notes), {}
+    lost = {
+        i: "began at a time that nothing tells: no sound, timecode or flash that all have, and "
+        "too little that moves where others see it; clap once where all cameras hear it, or give "
+        "--offsets"
+        for i in right
+        if not clear[i]
+    }
+    if len(known) < 2:
+        return guess, lost
+    whole = np.rint(lags[known] - np.median(lags[known]))
+    names = [takes[i].name for i in known]
+    late = [f"{name} by {n:+.0f} frames" for name, n in zip(names, whole, strict=True) if n]
+    if equal and late:
+        notes.append(f"out of step as filmed, and corrected: {named(late)}")
+    how = "by where things move, to a frame"
+    return _common_time([takes[i] for i in known], whole / rate, how, notes), lost
 
 
 def _common_time(

@@ -164,7 +164,8 @@ def read_solution(path: Path, num_cameras: int) -> Solution:
         if f"{name}_{lens}_poses" in arrays
     }
     keypoints = [arrays[f"keypoints{camera}"].astype(np.float64) for camera in range(num_cameras)]
-    return Solution(keypoints, arrays["moved"], matches, rigs)
+    moved_px = arrays.get("moved", np.full((num_cameras, 0), np.nan))
+    return Solution(keypoints, moved_px, matches, rigs)
 
 
 def unseen_errors(solution: Solution, lens: str, widths_px: Sequence[int]) -> list[Doubles]:

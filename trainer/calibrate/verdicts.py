@@ -4,7 +4,7 @@ rig has not seen, say of it, camera by camera."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,10 +94,16 @@ def judge(
             )
         if reason:
             wrong.setdefault(i, reason)
+    require_enough(names, wrong)
+    return best, wrong
+
+
+def require_enough(names: Sequence[str], wrong: Mapping[int, str]) -> None:
+    """Raises CaptureError, with the reasons of those that are wrong, unless enough cameras are
+    right."""
     right = len(names) - len(wrong)
     if right < max(LEAST_CAMERAS, LEAST_SHARE * len(names)):
         raise CaptureError(f"{right} of {len(names)} cameras are right{_listed(names, wrong)}")
-    return best, wrong
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +127,8 @@ class Halves:
     @property
     def typical(self) -> float:
         """Median of `apart`."""
-        return float(np.nanmedian(self.apart)) if self.placed.any() else np.inf
+        known = self.apart[np.isfinite(self.apart)]
+        return float(np.median(known)) if len(known) else np.inf
 
     @property
     def error_px(self) -> float:
@@ -196,5 +203,5 @@ def _why_unplaced(solution: Solution, names: Sequence[str], camera: int) -> str:
     )
 
 
-def _listed(names: Sequence[str], wrong: dict[int, str]) -> str:
+def _listed(names: Sequence[str], wrong: Mapping[int, str]) -> str:
     return "".join(f". {names[i]} {wrong[i]}" for i in sorted(wrong)[:MAX_LISTED])

@@ -21,7 +21,14 @@ from tests.support.tiny_models import write_videos
 from tests.trainer.calibrate.test_rigs import FOCAL, HEIGHT, WIDTH, arc
 from trainer.calibrate.capturecommand import Calibrate
 from trainer.calibrate.command import calibrate
-from trainer.calibrate.offsets import Synchrony, confirmed, geometric_lags, lags_of, synchronise
+from trainer.calibrate.offsets import (
+    Synchrony,
+    confirmed,
+    geometric_lags,
+    lags_of,
+    stepped,
+    synchronise,
+)
 from trainer.calibrate.solution import Rig, align, centres
 from trainer.calibrate.takes import Take, find_takes
 from trainer.capture.layout import open_capture
@@ -114,11 +121,21 @@ def test_a_camera_that_is_five_frames_late_is_named_and_corrected() -> None:
     times_s = np.arange(150) / 30
     takes = [Take(f"cam{i}", (Path(f"cam{i}.mp4"),), 640, 360, times_s, 30.0) for i in range(6)]
     guess = Synchrony((0.0,) * 6, 149 / 30, 150, 30.0, "", moving_px=tuple(places))
-    found = confirmed(takes, guess, rig, range(6))
+    found, lost = confirmed(takes, guess, rig, range(6))
+    assert not lost
     np.testing.assert_allclose(np.array(found.starts_s) * 30, [0, 0, 0, 5, 0, 0], atol=1e-9)
     assert found.notes == ("out of step as filmed, and corrected: cam3 by +5 frames",)
+    first = stepped(takes, guess, rig)
+    np.testing.assert_allclose(first.starts_s, found.starts_s, atol=1e-9)
+    assert first.moving_px == guess.moving_px
     blind = replace(guess, moving_px=(*places[:3], np.full((150, 2), np.nan), *places[4:]))
-    assert "nothing tells when cam3 began" in confirmed(takes, blind, rig, range(6)).notes[0]
+    assert not np.any(stepped(takes, blind, rig).starts_s)
+    assert "nothing tells when cam3 began" in confirmed(takes, blind, rig, range(6))[0].notes[0]
+    takes[1] = replace(takes[1], times_s=np.arange(160) / 30)
+    found, lost = confirmed(takes, blind, rig, range(6))
+    assert found.starts_s == (0.0,) * 5
+    assert lost.keys() == {3}
+    assert "clap once" in lost[3]
 
 
 def test_one_moment_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -172,7 +189,7 @@ import numpy as np
 from trainer.calibrate.mapping import Job, Mapper
 folder = Path(sys.argv[1])
 given = dict(np.load(folder / "given.npz"))
-mapper = Mapper(folder, Job([(640, 360)] * 8, [0] * 8, ([0], [1]), 1000, 2))
+mapper = Mapper(folder, Job([(640, 360)] * 8, [0] * 8, ([0], [1]), True, 1000, 2))
 mapper.keypoints = [given.pop(f"keypoints{i}") for i in range(8)]
 verified = {tuple(map(int, pair.split())): matches for pair, matches in given.items()}
 np.savez(folder / "found.npz", **mapper.rigs("whole", verified))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainer.calibrate.offsets import correlate, flash_s, series_lags
+from trainer.calibrate.offsets import correlate, flash_s, lags_of, series_lags
 
 
 def observed(
@@ -59,6 +59,24 @@ def test_a_series_of_something_else_is_not_alike() -> None:
     found, _, _ = series_lags(series, 20)
     assert (found.score > 1.5 * found.rest).tolist() == [True, True, False, True]
     np.testing.assert_allclose(found.lags[[1, 3]] - found.lags[0], [-200, -700], atol=0.5)
+
+
+def test_some_that_agree_on_a_wrong_lag_are_put_right() -> None:
+    """Two groups of three, and the clearest of all pairs, between them, is wrong by 20."""
+    shifts = np.arange(-50, 51)
+
+    def curve(peak: int, height: float) -> np.ndarray:
+        found: np.ndarray = height * np.exp(-(((shifts - peak) / 3) ** 2))
+        return found
+
+    curves = {
+        (i, j): (shifts, curve(0, 1.0 if (i < 3) == (j < 3) else 0.6))
+        for i in range(6)
+        for j in range(i + 1, 6)
+    }
+    curves[2, 3] = shifts, curve(20, 1.5)
+    found = lags_of(curves, 6, 5)
+    np.testing.assert_allclose(found.lags - found.lags[0], 0, atol=0.1)
 
 
 @pytest.mark.parametrize(
