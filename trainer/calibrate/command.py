@@ -38,8 +38,8 @@ PICTURES, FEW_MOMENTS, MANY_MOMENTS = 640, 20, 60
 """Pictures of all cameras together that the moments should have, and least and most moments, where
 --moments does not tell: a rig of few cameras has few features, and is solved in little time."""
 
-STILL_MOMENTS = 10
-"""Moments by which what stands still gives a first rig of takes that are not in step."""
+FIRST_MOMENTS = 10
+"""Moments of the first rigs, that tell when takes without sound began."""
 
 
 def calibrate(config: Calibrate, console: Console | None = None) -> str:
@@ -107,16 +107,19 @@ def _in_step(
     folder: Path,
     advance: Callable[[float], None],
 ) -> Synchrony:
-    """The synchrony of takes of which only movement tells when they began, by a first rig."""
-    work = folder / "still"
-    work.mkdir()
-    sizes, _ = write_moments(
-        takes, guess, STILL_MOMENTS, config.longest_px, work, lambda share: advance(0.2 * share)
-    )
-    job = _job(config, takes, sizes, STILL_MOMENTS, in_step=False)
-    solution = _solve(job, work, lambda share: advance(0.2 + 0.8 * share))
-    rig = solution.rigs.get(("whole", LENSES[0]))
-    return guess if rig is None else stepped(takes, guess, rig)
+    """The synchrony of takes of which only movement tells when they began: by a rig of what stands
+    still, and by one of moments that are nearly in step."""
+    for turn in (0, 1):
+        work = folder / f"first{turn}"
+        work.mkdir()
+        sizes, _ = write_moments(
+            takes, guess, FIRST_MOMENTS, config.longest_px, work, lambda share: None
+        )
+        job = _job(config, takes, sizes, FIRST_MOMENTS, in_step=turn > 0)
+        solution = _solve(job, work, lambda share, turn=turn: advance((turn + share) / 2))
+        rig = solution.rigs.get(("whole", LENSES[0]))
+        guess = guess if rig is None else stepped(takes, guess, rig)
+    return guess
 
 
 def _job(

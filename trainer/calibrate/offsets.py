@@ -173,7 +173,7 @@ SOUND_RATE = 1000
 QUIET = 20.0
 """Root mean square, of 32768, below which a take has no sound to speak of."""
 
-SMALL_PX, REACH, MOVING = 96, 7, 3.0
+SMALL_PX, REACH, MOVING = 192, 14, 3.0
 """Side of the small pictures in which movement is looked for, samples of them around its middle
 that belong to it, and their mean change, of 255, from which on something moves there."""
 
