@@ -32,7 +32,7 @@ class Calibrate:
     that all show. Without it, sound, timecode, a flash or movement tell."""
     moments: int | None = None
     """Number of moments of which the rig is made. More take longer and are more precise. By default
-    20 to 60, such that all cameras have some 640 pictures."""
+    16 to 60, such that all cameras have some 640 pictures."""
     longest_px: int = 1600
     """Longer side of the pictures in which features are sought; larger ones are scaled down."""
     features: int = 4096

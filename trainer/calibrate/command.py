@@ -34,7 +34,7 @@ PICTURE_NAME = "rig.png"
 LEAST_MOMENTS = 6
 """Fewer moments cannot be cut into halves that each give a rig."""
 
-PICTURES, FEW_MOMENTS, MANY_MOMENTS = 640, 20, 60
+PICTURES, FEW_MOMENTS, MANY_MOMENTS = 640, 16, 60
 """Pictures of all cameras together that the moments should have, and least and most moments, where
 --moments does not tell: a rig of few cameras has few features, and is solved in little time."""
 
