@@ -88,7 +88,7 @@ class TrainConfig:
     """Check the capture instead of training: read the first and the last frame of every camera,
     describe the capture, and draw its cameras and points to this PNG."""
     preset: Preset = "cpu"
-    """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (an hour on two
+    """Set of defaults: cpu (minutes on two cores), fast (a first look), fine (over an hour on two
     cores), gpu (200,000 Gaussians on a GPU), or paper (the paper's settings, made for a GPU). Other
     options override them."""
     frames: Annotated[str, tyro.conf.arg(metavar="A:B")] = ":"
@@ -310,7 +310,7 @@ PRESETS: Mapping[Preset, Callable[..., TrainConfig]] = {
             scene_flow=True,  # so few iterations leave a ghost where a ball was
         ),
     ),
-    # Two cores train 150 frames of 640x360 with it in an hour. docs/RESULTS.md.
+    # Two cores train 150 frames of 640x360 with it in over an hour. docs/RESULTS.md.
     "fine": partial(
         TrainConfig,
         preset="fine",
