@@ -109,15 +109,18 @@ def _in_step(
 ) -> Synchrony:
     """The synchrony of takes of which only movement tells when they began: by a rig of what stands
     still, and by one of moments that are nearly in step."""
-    for turn in (0, 1):
+    for turn, in_step in enumerate((False, True)):
+
+        def advance_turn(share: float, turn: int = turn) -> None:
+            advance((turn + share) / 2)
+
         work = folder / f"first{turn}"
         work.mkdir()
         sizes, _ = write_moments(
             takes, guess, FIRST_MOMENTS, config.longest_px, work, lambda share: None
         )
-        job = _job(config, takes, sizes, FIRST_MOMENTS, in_step=turn > 0)
-        solution = _solve(job, work, lambda share, turn=turn: advance((turn + share) / 2))
-        rig = solution.rigs.get(("whole", LENSES[0]))
+        job = _job(config, takes, sizes, FIRST_MOMENTS, in_step)
+        rig = _solve(job, work, advance_turn).rigs.get(("whole", LENSES[0]))
         guess = guess if rig is None else stepped(takes, guess, rig)
     return guess
 
@@ -137,7 +140,7 @@ def _job(
 
 
 def _solve(job: Job, work: Path, advance: Callable[[float], None]) -> Solution:
-    """What pycolmap finds, in a process of its own."""
+    """Runs pycolmap in a process of its own and gives what it found."""
     job.write(work)
     log = work / "log.txt"
     command = [sys.executable, "-m", "trainer.calibrate.mapping", str(work)]

@@ -75,10 +75,13 @@ def lags_of(curves: Mapping[tuple[int, int], Curve], count: int, guard: int) -> 
         whole[i] = whole[int(before[i])] + int(shifts[np.argmax(alike)])
     groups = [*_branches(order, before), *({i} for i in whole)]
     for _ in range(ROUNDS):
+        start = dict(whole)
         for group in groups:
             shifts, total = _joined(both, group, whole)
             shift = int(shifts[np.argmax(total)])
             whole |= {i: whole[i] + shift for i in group}
+        if whole == start:
+            break
     for i in whole:
         shifts, total = _joined(both, {i}, whole)
         best = int(np.argmax(total))
@@ -88,12 +91,12 @@ def lags_of(curves: Mapping[tuple[int, int], Curve], count: int, guard: int) -> 
 
 
 def _branches(order: Longs, before: Longs) -> list[set[int]]:
-    """Each take of a tree, but its root, with those beyond it: some that agree on a wrong lag
-    cannot leave it one by one."""
+    """Takes of a tree with those beyond them, if any, but for the root: some that agree on a wrong
+    lag cannot leave it one by one."""
     beyond = {int(i): {int(i)} for i in order}
     for i in map(int, order[:0:-1]):
         beyond[int(before[i])] |= beyond[i]
-    return [beyond[int(i)] for i in order[1:]]
+    return [beyond[int(i)] for i in order[1:] if len(beyond[int(i)]) > 1]
 
 
 def _joined(
@@ -108,7 +111,7 @@ def _joined(
     first, last = min(s[0] for s, _ in parts), max(s[-1] for s, _ in parts)
     total = np.zeros(last - first + 1)
     for shifts, alike in parts:
-        np.add.at(total, shifts - first, alike / len(parts))
+        total[shifts - first] += alike / len(parts)  # no shift is there twice
     return np.arange(first, last + 1), total
 
 
