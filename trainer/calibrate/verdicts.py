@@ -79,8 +79,8 @@ def judge(
         elif apart[i] > APART or apart_deg[i] > APART_DEG:
             reason = (
                 f"is placed {apart[i]:.0%} of its distance to the scene and {apart_deg[i]:.1f} "
-                "degrees apart by the two halves of the take: it moved, or shares too little with "
-                "the others; film with neighbours at most 20 degrees apart"
+                "degrees apart by the two halves of the take: it is out of step (--offsets), or "
+                "shares too little with the others; film with neighbours at most 20 degrees apart"
             )
         elif np.isnan(unseen[i]):
             reason = (
