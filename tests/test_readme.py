@@ -143,7 +143,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     and DIR, a folder of traces."""
     root = tmp_path_factory.mktemp("readme")
     write_dynerf(root / "my-capture", 5, 60)
-    # As if calibrated: the gate has no pycolmap.
+    # As if calibrated, which takes minutes.
     shutil.copytree(root / "my-capture", root / "my-stream-capture")
     shutil.copytree(root / "my-capture", root / "my-videos", ignore=shutil.ignore_patterns("*.npy"))
     manifest = replace(seen_by(tiny_manifest(), root / "my-capture"), poster=POSTER_NAME)
