@@ -240,7 +240,7 @@ def test_a_step_looks_at_no_value_on_the_device() -> None:
     resident = CudaBackend(*WEIGHTS, shape_only, "meta").start(given)
     begin(resident)
     selection = Selection(SHOWN, TRAINED)
-    for step in steps(30):
+    for step in steps(12):
         resident.step(replace(step, whole=step.seed % 2 == 0), selection)
         assert resident.losses(wait=False) == []
     resident.bound_scales(selection, 0.1)
