@@ -297,13 +297,17 @@ class Mapper:
     def rigs(self, name: str, verified: Mapping[Pair, Longs]) -> Arrays:
         """The rigs of verified matches, with each of LENSES: arrays by name, of which there are
         none where no rig was found."""
-        found: Arrays = {}
-        for lens in LENSES:
+
+        def with_lenses(lens: str) -> Arrays:
             kinds = self._job.kinds if lens == "like" else self._cameras
             model = self._mapped(f"{name}_{lens}", verified, kinds)
-            if model is not None:
-                rig = self._rig(model, kinds)
-                found |= {f"{name}_{lens}_{key}": value for key, value in rig.items()}
+            rig = {} if model is None else self._rig(model, kinds)
+            return {f"{name}_{lens}_{key}": value for key, value in rig.items()}
+
+        found: Arrays = {}
+        with ThreadPoolExecutor(min(self._job.threads, len(LENSES))) as pool:
+            for rig in pool.map(with_lenses, LENSES):
+                found |= rig
         return found
 
     def _mapped(self, name: str, verified: Mapping[Pair, Longs], kinds: Sequence[int]) -> Any:

@@ -46,7 +46,7 @@ class FitConfig:
     """Number of settling rounds after genesis. Each trains the first window once more like a later
     window: Gaussians are renewed first, and the learning rates start high again."""
     window_iterations: int = 400
-    """Number of iterations of every later window. Paper: 2,000 on a GPU."""
+    """Number of iterations of every later window and settling round. Paper: 2,000 on a GPU."""
     newest_share: float = 0.5
     """Share of a window's iterations spent on its newest frame, if no earlier window has seen that
     frame."""
