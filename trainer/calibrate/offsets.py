@@ -398,13 +398,15 @@ def equally_long(takes: Sequence[Take]) -> bool:
 
 def stepped(takes: Sequence[Take], guess: Synchrony, rig: Rig) -> Synchrony:
     """The synchrony by where in the takes something moves, as far as a first rig tells; to be
-    `confirmed` with a better one. Takes of which nothing tells when they began are in the middle of
-    the others."""
+    `confirmed` with a better one. A lag that is not clear is tried if it is among those that are:
+    unseen moments tell a wrong one. All other takes are in the middle."""
     rate = _usual_fps(takes) or NOMINAL_FPS
     lags, clear = _movement_lags(rig, guess.moving_px, rate)
     if clear.sum() < 2:
         return guess
-    starts_s = np.rint(np.where(clear, lags, np.median(lags[clear]))) / rate
+    told = lags[clear]
+    tried = clear | ((lags >= told.min()) & (lags <= told.max()))
+    starts_s = np.rint(np.where(tried, lags, np.median(told))) / rate
     found = _common_time(takes, starts_s, "by where things move", guess.notes)
     return replace(found, moving_px=guess.moving_px)
 
