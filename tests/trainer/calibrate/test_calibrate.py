@@ -28,6 +28,7 @@ from trainer.calibrate.offsets import (
     lags_of,
     stepped,
     synchronise,
+    whole_frames,
 )
 from trainer.calibrate.solution import Rig, align, centres
 from trainer.calibrate.takes import Take, find_takes
@@ -114,6 +115,13 @@ def test_places_of_movement_tell_the_offsets_to_the_frame() -> None:
     np.testing.assert_allclose(found.lags - found.lags[0], starts, atol=0.7)
     assert (found.score > found.rest).all()
     assert np.isnan(lags_of({}, 3, 3).lags).all()
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.5, 0.8])
+def test_lags_are_to_the_frame_whatever_they_are_counted_from(phase: float) -> None:
+    right = np.array([0, 17, -9, 30, 4, -21])
+    found = whole_frames(right + phase + np.array([0.3, -0.2, 0.2, 0.1, -0.3, -0.2]))
+    assert np.ptp(found - right) == 0
 
 
 def test_a_camera_that_is_five_frames_late_is_named_and_corrected() -> None:
