@@ -93,7 +93,7 @@ def _refined(a: Doubles, b: Doubles, start: Similarity) -> Similarity:
 
 Pair = tuple[int, int]
 
-UNSEEN_PX = 4.0
+UNSEEN_PX = 3.0
 """Largest median error, at 640 pixels of width, of points of unseen moments in a right rig; and how
 far the rays of a point may miss each other for its place to be believed."""
 

@@ -89,8 +89,8 @@ def judge(
             )
         elif unseen[i] > UNSEEN_PX * max(1.0, widths_px[i] / 640):
             reason = (
-                f"misses points of unseen moments by {unseen[i]:.1f} px: out of step with the "
-                "others (--offsets), or a lens that is not like theirs"
+                f"misses points of unseen moments by {unseen[i]:.1f} px: out of focus, out of step "
+                "with the others (--offsets), or a lens that is not like theirs"
             )
         if reason:
             wrong.setdefault(i, reason)
