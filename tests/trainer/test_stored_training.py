@@ -80,7 +80,7 @@ def test_a_store_that_goes_in_the_middle_is_an_error_and_resume_goes_on(
             if first_frame == 3:
                 s3.stop()
 
-    quick = objectstore.RetryPolicy(0.05, 0.001, 0.001, max_retries=1)
+    quick = objectstore.RetryPolicy(1.0, 0.001, 0.001, max_retries=1)
     monkeypatch.setattr(objectstore, "PATIENT", quick)
     words = CAPTURE, f"s3://{BUCKET}/gone/show", "--work", tmp_path / "work"
     refused(SwingsError, f"^s3://{BUCKET}/", train_here, *words, *SETTINGS, observers=[Stopping()])

@@ -12,7 +12,7 @@ from trainer.capture.capture import Capture
 from trainer.pictures.scale import scaled_picture
 from trainer.seed.stereo import small_camera
 
-from .offsets import correlate, lags_of
+from .offsets import correlate, lags_of, whole_frames
 
 MAX_FRAMES, LEAST_FRAMES = 60, 24
 """Frames that are compared, and the fewest that tell anything."""
@@ -73,7 +73,7 @@ def late_frames(changes: Doubles) -> list[int]:
         near = np.abs(shifts) <= MOST_LATE
         curves[i, j] = shifts[near], alike[near]
     found = lags_of(curves, count, guard=1)
-    late = np.rint(found.lags - np.median(found.lags)).astype(int)
+    late = whole_frames(found.lags).astype(int)
     is_clear = (found.score >= ALIKE) & (found.score - found.rest >= SHARPER)
     told: list[int] = np.where(is_clear & (np.median(found.score) >= AGREEING), late, 0).tolist()
     return told

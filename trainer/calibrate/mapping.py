@@ -314,7 +314,7 @@ class Mapper:
         """The largest rig with one lens for each kind; None if there is none."""
         options = self._colmap.IncrementalPipelineOptions()
         options.extract_colors = False
-        options.num_threads = self._job.threads
+        options.num_threads = max(1, self._job.threads // len(LENSES))  # see `rigs`
         options.random_seed = self._job.seed
         options.min_model_size = 3
         self._write(name, verified, kinds)

@@ -113,7 +113,7 @@ def test_two_beginning_at_once(s3: S3Server, url: str, monkeypatch: pytest.Monke
 def test_a_writer_goes_on_when_a_store_that_was_gone_is_back(
     s3: S3Server, key: str, url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick = RetryPolicy(0.05, 0.001, 0.001, max_retries=1)
+    quick = RetryPolicy(1.0, 0.001, 0.001, max_retries=1)
     monkeypatch.setattr(objectstore, "PATIENT", quick)
     write(tmp_path / "s", UPDATES)
     with StreamWriter.create(url, forked_manifest()) as writer:
